@@ -23,6 +23,7 @@ from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
+from numba import njit
 
 from benchmarks.maglev.records import Array, MagnetRecord
 from valve_sim.identification.plants.advice import Advice
@@ -36,7 +37,6 @@ from valve_sim.identification.plants.protocol import (
 )
 from valve_sim.identification.plants.variation import group_factors, group_variations
 from valve_sim.model import Parameter
-from valve_sim.model.compiling import compiled
 
 REST, BEFORE, AFTER = 1.5, 0.5, 0.5
 """s: before a jump from which on the current is compared, and up to which the ball rests; after it, to the end."""
@@ -209,7 +209,7 @@ def _channel(record: MagnetRecord, span: slice, number: int) -> Channel:
     )  # fmt: skip
 
 
-@compiled
+@njit(cache=True)
 def _flux(magnet, nearness, w):  # type: ignore[no-untyped-def]
     """(2) and (3): the flux at a current, and its derivative."""
     inductance = magnet.inductance * nearness
@@ -220,7 +220,7 @@ def _flux(magnet, nearness, w):  # type: ignore[no-untyped-def]
     return magnet.time_constant * w + ball, magnet.time_constant + inductance
 
 
-@compiled
+@njit(cache=True)
 def _current_at(magnet, nearness, share, known, w):  # type: ignore[no-untyped-def]
     """The w > 0 at which flux + share · w = known, by Newton's steps from a near w; 0 where there is none."""
     if known <= 0.0:
@@ -234,7 +234,7 @@ def _current_at(magnet, nearness, share, known, w):  # type: ignore[no-untyped-d
     return w
 
 
-@compiled
+@njit(cache=True)
 def _current(magnet, duty, distance, interval):  # type: ignore[no-untyped-def]
     """(n,) A: (1) by the trapezoidal rule; distance is linear between samples, and the duty cycle held."""
     current = np.zeros(len(duty))

@@ -252,7 +252,7 @@ def test_a_time_constant_whose_reciprocal_overflows_is_none() -> None:
 def test_any_accepted_valve_stays_between_its_contacts(declared, names, share, volts) -> None:
     effects = {name: {key: low + share * (high - low) for key, (low, high) in RANGES[name].items()} for name in names}
     valve = Valve(ValveParameters(**declared), effects)
-    gap, stroke = (float(valve.record()[0][name]) for name in ("pilot_gap", "stroke"))
+    gap, stroke = valve.after_effects("pilot_gap", "stroke")
     assume(0.0 < gap < stroke)
     try:
         response = simulate(valve, Drive.of([0.0, 0.01], [volts, 0.0]), np.linspace(0, 0.02, 40))

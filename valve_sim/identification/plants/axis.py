@@ -7,8 +7,8 @@ model of robotics; Janot, Gautier and Brunot 2019). Position is low-passed witho
 both sides of the comparison then pass the same decimation filter. The axis integrates freely, so a simulation over the
 whole record tells little; over windows of a second it tells much (`window_rmse`).
 
-Friction and force effects are the valve's: the same catalogue entries fill the same record, and the compiled equations
-of the valve's Phase 1 add them up. "Opening" is motion towards larger q, "closing" towards smaller q.
+Friction and force effects are the valve's: the expressions of the same catalogue entries, added up as in the valve's
+Phase 1. "Opening" is motion towards larger q, "closing" towards smaller q.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ from valve_sim.identification.plants.protocol import (
 )
 from valve_sim.identification.plants.root_mean_square import root_mean_square
 from valve_sim.identification.plants.variation import group_variations, variation_name
-from valve_sim.model import CATALOGUE, DECLARED, Parameter, Phase, Tag
-from valve_sim.model.compiling import compiled
-from valve_sim.model.effects import new_record
-from valve_sim.model.gas.equations import dry_friction, force_without_dry_friction
+from valve_sim.model import CATALOGUE, DECLARED, Parameter, Tag
+from valve_sim.model.core.symbols import Motion as Symbols
+from valve_sim.model.core.symbols import Own
+from valve_sim.model.core.tracer import Condition, Node, Trace, evaluate, pieces_of_curve
 
 LOW_PASS: Final = 100.0
 """Hz, of the fourth-order Butterworth filter that position passes forwards and backwards."""
@@ -60,10 +60,8 @@ BASE: Final = {
     "mass": Parameter("mass", "kg", "all that moves, as seen by the drive", 0.0, 1e6, 100.0, lower_is_allowed=False),
     "viscous_friction": Parameter("viscous_friction", "N·s/m", "against motion", 0.0, 1e6, 100.0),
 }
-_CORE_NAMES: Final = {"mass": "pilot_mass", "viscous_friction": "pilot_damping"}
 FRICTION: Final = "friction"
 """What varies from one out-and-back to the next: viscous friction, and forces of effects that dissipate."""
-_FREE_PHASE: Final = int(Phase.PILOT)
 _MAP_VARIABLES: Final = ("x", "v", "t", "x·v", "t·v")
 
 
@@ -257,25 +255,20 @@ class AxisPlant:
         """
         count, edge = round(window * self.record.rate), round(EDGE * self.record.rate)
         starts = np.arange(edge, len(self.record.times) - edge - count, round(WINDOW_STEP * self.record.rate))
-        shown = np.empty((len(starts), count))
-        _simulate_windows(
-            self._axis(values), starts, np.column_stack((self.motion.position, self.motion.velocity))[starts],
-            self.record.force, self.record.times, 1.0 / self.record.rate, shown,
-        )  # fmt: skip
+        states = np.column_stack((self.motion.position, self.motion.velocity))[starts]
+        shown = _simulated_windows(self._axis(values), starts, states, self.record, count)
         measured = self.motion.position[starts[:, None] + np.arange(count)]
         return root_mean_square(measured - shown)
 
-    def _axis(self, values: Mapping[str, float]) -> Any:
-        """The compiled core's record: a pilot plunger without coil, seat and spring, and the effects that are on."""
-        declared = dict.fromkeys(DECLARED, 0.0)
-        declared |= {"reference_voltage": 1.0, "coil_resistance": 1.0}
-        declared |= {_CORE_NAMES[name]: values.get(name, self._declared[name]) for name in BASE}
+    def _axis(self, values: Mapping[str, float]) -> _Axis:
+        """The axis with the effects that are on."""
         effects: dict[str, dict[str, float]] = {}
         for name, value in values.items():
             effect, dot, parameter = name.partition(".")
             if dot:
                 effects.setdefault(effect, {})[parameter] = value
-        return new_record(declared, effects)[0]
+        mass, viscous_friction = (values.get(name, self._declared[name]) for name in BASE)
+        return _Axis.of(mass, viscous_friction, effects)
 
     def _decimated(self, values: Array) -> Array:
         """Low-passed and thinned, the edges cut."""
@@ -308,42 +301,79 @@ def _repetitions(motion: Motion) -> NDArray[np.int64]:
     return np.searchsorted(np.array(begins, dtype=np.int64), np.arange(len(below)), side="right").astype(np.int64)
 
 
-@compiled
-def _other_force(p, x, v, direction, t):  # type: ignore[no-untyped-def]
-    """All forces but the drive's and dry friction, N."""
-    return force_without_dry_friction(p, t, (x, v), (0.0, 0.0), (_FREE_PHASE, direction, 0.0))
+@dataclass(frozen=True)
+class _Axis:
+    """Forces of an axis but the drive's, as expressions of its position, velocity and time, and of all numbers.
+
+    Attributes:
+        values: the numbers, by name. mass: kg.
+        force: all but dry friction, N. friction: dry friction, N, against the motion.
+    """
+
+    values: Mapping[str, float]
+    mass: float
+    force: Node
+    friction: Node
+
+    @classmethod
+    def of(cls, mass: float, viscous_friction: float, effects: Mapping[str, Mapping[str, float]]) -> _Axis:
+        """The pilot plunger of a valve without coil, seat and spring, with effects that are on."""
+        trace = Trace()
+        values = {"mass": mass, "viscous_friction": viscous_friction}
+        x, v, t, direction = (trace.number(name) for name in ("x", "v", "t", "direction"))
+        nothing, never = trace.constant(0.0), Condition(trace.constant(-1.0))
+        p = Own(**dict.fromkeys(DECLARED, nothing))
+        motion = Symbols(x, v, nothing, nothing, t, t, direction, never, never, p)
+        force: Node = -trace.number("viscous_friction") * v
+        friction: Node = nothing
+        for name, given in effects.items():
+            entry = CATALOGUE[name]
+            whole = {**entry.neutral_values(), **given}
+            values |= {f"{name}.{parameter}": value for parameter, value in whole.items()}
+            nodes = {parameter: trace.number(f"{name}.{parameter}") for parameter in entry.names}
+            own = Own(**{**nodes, **{shape: trace.constant(whole[shape]) for shape in entry.shapes}})
+            if entry.force is not None:
+                force = force + entry.force(motion, own)
+            if entry.friction is not None:
+                friction = friction + entry.friction(motion, own)
+        return cls(values, mass, force, friction)
+
+    def at(self, x: Array, v: Array, direction: Array, t: Array) -> tuple[Array, Array]:
+        """Force, and level of dry friction, N, at (n,) positions, velocities, ways of motion (+1 or −1) and times."""
+        values: dict[str, Any] = {**self.values, "x": x, "v": v, "direction": direction, "t": t}
+        if self.force.trace.curve is not None:
+            values |= pieces_of_curve(self.force.trace.curve, values)
+        force, friction = evaluate([self.force, self.friction], values)
+        return np.broadcast_to(force, x.shape), np.broadcast_to(friction, x.shape)
 
 
-@compiled
-def _drive_force(p, position, velocity, acceleration, times):  # type: ignore[no-untyped-def]
+def _drive_force(axis: _Axis, x: Array, v: Array, acceleration: Array, times: Array) -> Array:
     """(n,) N: equation (1) solved for the drive's force."""
-    force = np.empty(len(times))
-    for i in range(len(times)):
-        v = velocity[i]
-        direction = 1 if v > 0.0 else -1
-        held = direction * dry_friction(p, v, direction) if v != 0.0 else 0.0
-        force[i] = p.pilot_mass * acceleration[i] - _other_force(p, position[i], v, direction, times[i]) + held
-    return force
+    direction = np.where(v > 0.0, 1.0, -1.0)
+    other, friction = axis.at(x, v, direction, times)
+    held = np.where(v != 0.0, direction * friction, 0.0)
+    return np.asarray(axis.mass * acceleration - other + held)
 
 
-@compiled
-def _simulate_windows(p, starts, states, force, times, interval, shown):  # type: ignore[no-untyped-def]
-    """Integrate (1) from each start, `states` its position and velocity.
+def _simulated_windows(axis: _Axis, starts: NDArray[np.int64], states: Array, record: AxisRecord, count: int) -> Array:
+    """(w, count) m: (1) integrated from each start, all windows side by side; `states` are their (w, 2) m and m/s.
 
     Dry friction takes the velocity towards 0 and, within a step, not beyond.
     """
+    interval = 1.0 / record.rate
     h = interval / SUBSTEPS
-    for window in range(len(starts)):
-        first = starts[window]
-        x, v = states[window]
-        for i in range(shown.shape[1]):
-            shown[window, i] = x
-            for substep in range(SUBSTEPS):
-                share = (substep + 0.5) / SUBSTEPS
-                drive = force[first + i] + share * (force[first + i + 1] - force[first + i])
-                direction = 1 if v > 0.0 or (v == 0.0 and drive > 0.0) else -1
-                t = times[first + i] + share * interval
-                pushed = v + h * (drive + _other_force(p, x, v, direction, t)) / p.pilot_mass
-                lost = h * dry_friction(p, v, 1 if pushed > 0.0 else -1) / p.pilot_mass
-                v = pushed - min(lost, abs(pushed)) * (1.0 if pushed > 0.0 else -1.0)
-                x += h * v
+    (x, v), shown = states.T.copy(), np.empty((len(starts), count))
+    for i in range(count):
+        shown[:, i] = x
+        before, after = record.force[starts + i], record.force[starts + i + 1]
+        for substep in range(SUBSTEPS):
+            share = (substep + 0.5) / SUBSTEPS
+            drive = before + share * (after - before)
+            direction = np.where((v > 0.0) | ((v == 0.0) & (drive > 0.0)), 1.0, -1.0)
+            t = record.times[starts + i] + share * interval
+            pushed = v + h * (drive + axis.at(x, v, direction, t)[0]) / axis.mass
+            way = np.where(pushed > 0.0, 1.0, -1.0)
+            lost = h * axis.at(x, v, way, t)[1] / axis.mass
+            v = pushed - np.minimum(lost, np.abs(pushed)) * way
+            x = x + h * v
+    return shown

@@ -1239,7 +1239,7 @@ def settle_flow(b: Block, t: Block) -> None:
 
 
 def supply(b: Block, t: Block, change: Block) -> None:
-    """Pressures change at the state's time: of the tank, Pa, and its rate, Pa/s, and behind the demand, Pa; NaN: not."""
+    """Pressures change now: of the tank, Pa, and its rate, Pa/s, and behind the demand, Pa; NaN where one does not."""
     b[GAS_KNOWN] = 0.0
     if change[0] == change[0]:
         b[TANK] = change[0]

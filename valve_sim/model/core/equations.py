@@ -149,8 +149,7 @@ def build(
         owns[effect.name] = Own(**{**nodes, **{name: trace.constant(next(given)) for name in effect.shapes}})
     numbers = {name: trace.number(name) for name in DECLARED}
     numbers.update({name: trace.constant(value) for name, value in NEUTRAL.items()})
-    own_of_gas = NUMBERS if has_gas else ()
-    numbers.update({name: trace.number(f"{PREFIX}{name}") for name in own_of_gas})
+    numbers.update({name: trace.number(f"{PREFIX}{name}") for name in NUMBERS if has_gas})
     for effect in effects:
         for name, change in effect.changes.items():
             numbers[name] = trace.lift(change(numbers[name], owns[effect.name]))
@@ -194,7 +193,7 @@ def build(
     system.attraction = attraction(p, x, square)
     system.numbers = numbers
     system.parameters = (*DECLARED, *(f"{effect.name}.{name}" for effect in effects for name in effect.names))
-    system.parameters += tuple(f"{PREFIX}{name}" for name in own_of_gas)
+    system.parameters += tuple(f"{PREFIX}{name}" for name in NUMBERS if has_gas)
     system.is_checked = any(
         node.op in ("exp", "log", "power", "sin", "cos", "tanh") and _varies_with_motion(node) for node in trace.nodes
     )

@@ -11,7 +11,9 @@ whose left side only grows with ρ. It is solved by Newton's method in √|ρ �
 √|ρ − ρ_d| where that is nearer; ρ_i and ρ_d are the densities at the pressures of both ends.
 
 A step leaves polynomials behind, as a Taylor step does, and all that looks at a step reads these: of each state the
-cubic that has its values and rates at both ends, of x the integral of that of v. Tangents are those of the step itself, at its size: each stage is differentiated as it stands.
+cubic that has its values and rates at both ends, of x the integral of that of v, and of a density that is not stiff the
+one of fifth order that has the rates of its rates, too. Tangents are those of the step itself, at its size: each stage
+is differentiated as it stands.
 
 These functions are compiled by `lowering`, as those of `driver`.
 """
@@ -23,6 +25,11 @@ from typing import Final
 
 from valve_sim.model.core.layout import (
     AT,
+    BEND,
+    BEND_SLOPES,
+    BENT,
+    BENT_END,
+    BENT_START,
     CHANGED,
     COIL,
     CRITICAL,
@@ -101,6 +108,7 @@ EMBEDDED: Final = (
 )  # fmt: skip
 
 LOOSER: Final = 30.0
+LOOSER_IN_MOTION: Final = 3.0
 """By what the tolerance of a step is larger than without gas: the pair is of order 4, and a valve that waits half a
 second for its pressure needs no nanosecond."""
 SIZE_OF_X: Final = 1e-5
@@ -242,7 +250,7 @@ def solve_density(b: Block, t: Block, share: float, known: float, guess: float) 
         else:
             density = 0.5 * (low + high)
     b[slot] = density
-    return density
+    return float(density)
 
 
 def stage_rates(b: Block, t: Block, stage: int) -> None:
@@ -318,7 +326,8 @@ def gas_error(b: Block, h: float) -> float:
             ratio = error_of(b, h, j) / max(abs(b[X + j]), abs(b[END + j]), size)
             total += ratio * ratio
             count += 1
-    return math.sqrt(total / count) / (LOOSER * b[TOLERANCE])
+    looser = LOOSER if b[MOVING] == 0.0 else LOOSER_IN_MOTION
+    return math.sqrt(total / count) / (looser * b[TOLERANCE])
 
 
 def step_factor(error: float) -> float:
@@ -362,25 +371,60 @@ def fill_polynomials(own: Block, stride: int, b: Block, h: float) -> None:
         rise = own[(END + j) * stride] - own[(X + j) * stride]
         first = h * own[a + j * stride]
         last = h * own[end + j * stride]
-        if X + j == int(b[DENSITY]):
+        bent = 0.0
+        bent_end = 0.0
+        is_quintic = X + j == int(b[DENSITY]) and b[STIFFNESS] <= STIFF
+        if is_quintic:
+            bent = own[BENT_START * stride]
+            bent_end = own[BENT_END * stride]
+        elif X + j == int(b[DENSITY]):
             if b[LIMIT_START] != 1.0:
                 first = STEEPEST * rise if b[LIMIT_START] > 1.0 else 0.0
             if b[LIMIT_END] != 1.0:
                 last = STEEPEST * rise if b[LIMIT_END] > 1.0 else 0.0
-        for k in range(4, TERMS):
+        for k in range(6, TERMS):
             own[c + k * stride] = 0.0
         own[c] = own[(X + j) * stride]
         own[c + stride] = first / h
-        own[c + 2 * stride] = (3.0 * rise - 2.0 * first - last) / (h * h)
-        own[c + 3 * stride] = (first + last - 2.0 * rise) / (h * h * h)
+        # What the terms of higher order make of the value, the rate and its rate at the end.
+        half = 0.5 * h * h * bent if is_quintic else 3.0 * rise - 2.0 * first - last
+        d0 = rise - first - half
+        d1 = last - first - 2.0 * half
+        d2 = h * h * (bent_end - bent) if is_quintic else 6.0 * d0
+        own[c + 2 * stride] = half / (h * h)
+        own[c + 3 * stride] = (10.0 * d0 - 4.0 * d1 + 0.5 * d2) / (h * h * h)
+        own[c + 4 * stride] = (-15.0 * d0 + 7.0 * d1 - d2) / (h * h * h * h)
+        own[c + 5 * stride] = (6.0 * d0 - 3.0 * d1 + 0.5 * d2) / (h * h * h * h * h)
 
 
-def gas_polynomials(b: Block, h: float) -> None:
+def bend_at(b: Block, t: Block, h: float, stage: int, bend: float) -> None:
+    """Look how the rate of the density changes at the start of the step at hand, or at its end, stage STAGES.
+
+    Args:
+        bend: address of the kernel.
+    """
+    states = 2 + int(b[STATES])
+    if stage == STAGES:
+        end_states(b, 1, h, states)
+        b[ELAPSED] = h
+    else:
+        stage_states(b, 1, h, 0, states)
+        b[ELAPSED] = 0.0
+    b[END + int(b[DENSITY]) - X] = b[GAS_STAGES + stage]
+    invoke(bend, b, t)
+
+
+def gas_polynomials(b: Block, t: Block, h: float) -> None:
     """Make the polynomials of a step that has been tried."""
     j = int(b[DENSITY]) - X
     b[LIMIT_START] = 1.0
     b[LIMIT_END] = 1.0
-    if b[STIFFNESS] > STIFF:
+    if b[STIFFNESS] <= STIFF:
+        bend_at(b, t, h, 0, b[BEND])
+        b[BENT_START] = b[BENT]
+        bend_at(b, t, h, STAGES, b[BEND])
+        b[BENT_END] = b[BENT]
+    else:
         rise = b[END + j] - b[X + j]
         b[LIMIT_START] = limit(h * b[GAS_K + j], rise)
         b[LIMIT_END] = limit(h * b[GAS_K + STAGES * WIDE + j], rise)
@@ -390,7 +434,7 @@ def gas_polynomials(b: Block, h: float) -> None:
 def take_gas_step(b: Block, t: Block, h: float) -> None:
     """Make a step of size h, s, the one at hand: its polynomials and its end, without tangents."""
     try_gas_step(b, t, h)
-    gas_polynomials(b, h)
+    gas_polynomials(b, t, h)
     b[STEP] = h
 
 
@@ -402,46 +446,67 @@ def gas_tangents(b: Block, t: Block) -> None:
         return
     states = 2 + int(b[STATES])
     place = int(b[DENSITY]) - X
-    is_integrated = b[WARM] >= 0.0
     for stage in range(STAGES + 1):
-        b[ELAPSED] = h if stage == STAGES else TIMES[stage] * h
         if stage < STAGES:
+            b[ELAPSED] = TIMES[stage] * h
             stage_states(b, 1, h, stage, states)
         else:
+            b[ELAPSED] = h
             end_states(b, 1, h, states)
         b[END + place] = b[GAS_STAGES + stage]
         for k in range(width):
             if stage < STAGES:
                 stage_states(t[k:], width, h, stage, states)
-                t[(END + place) * width + k] = known_density(t[k:], width, h, stage, place)
             else:
                 end_states(t[k:], width, h, states)
-                t[(END + place) * width + k] = t[(GAS_STAGES + STAGES - 1) * width + k]
-        own = (GAS_K + stage * WIDE + place) * width
-        if stage < STAGES:
-            invoke(b[FLOW_SLOPES], b, t)
-        share = h * DIAGONAL if stage > 0 else 0.0
-        for k in range(width):
-            if stage == STAGES:
-                t[own + k] = t[own - WIDE * width + k]
-            elif stage == 0 and b[GAS_KNOWN] > 0.0:
-                t[own + k] = t[GAS_RATE * width + k]
-            else:
-                t[own + k] = t[FLOW_RATE * width + k] / (1.0 - share * b[FLOW_SLOPE])
-                t[(END + place) * width + k] += share * t[own + k]
-            t[(GAS_STAGES + stage) * width + k] = t[(END + place) * width + k]
-        if b[MOVING] > 0.0 or is_integrated:
-            invoke(b[STAGE_SLOPES], b, t)
-        row = (GAS_K + stage * WIDE) * width
-        for k in range(width):
-            moves = b[MOVING] > 0.0
-            t[row + k] = t[(END + 1) * width + k] if moves else 0.0
-            t[row + width + k] = t[(STAGE_RATES + 1) * width + k] if moves else 0.0
-            for j in range(2, states):
-                if j != place:
-                    t[row + j * width + k] = t[(STAGE_RATES + j) * width + k] if is_integrated else 0.0
+        tangents_of_density(b, t, h, stage, place)
+        tangents_of_rates(b, t, stage, states, place)
+        if b[STIFFNESS] <= STIFF and stage in (0, STAGES):
+            bent = BENT_START if stage == 0 else BENT_END
+            invoke(b[BEND_SLOPES], b, t)
+            for k in range(width):
+                t[bent * width + k] = t[BENT * width + k]
     for k in range(width):
         fill_polynomials(t[k:], width, b, h)
+
+
+def tangents_of_density(b: Block, t: Block, h: float, stage: int, place: int) -> None:
+    """Tangents of the density at a stage, and of its rate: of (G6), whose right-hand side is explicit."""
+    width = int(b[WIDTH])
+    own = (GAS_K + stage * WIDE + place) * width
+    here = (END + place) * width
+    if stage < STAGES:
+        for k in range(width):
+            t[here + k] = known_density(t[k:], width, h, stage, place)
+        invoke(b[FLOW_SLOPES], b, t)
+    share = h * DIAGONAL if stage > 0 else 0.0
+    for k in range(width):
+        if stage == STAGES:
+            # The last stage is the end.
+            t[own + k] = t[own - WIDE * width + k]
+            t[here + k] = t[(GAS_STAGES + STAGES - 1) * width + k]
+        elif stage == 0 and b[GAS_KNOWN] > 0.0:
+            t[own + k] = t[GAS_RATE * width + k]
+        else:
+            t[own + k] = t[FLOW_RATE * width + k] / (1.0 - share * b[FLOW_SLOPE])
+            t[here + k] += share * t[own + k]
+        t[(GAS_STAGES + stage) * width + k] = t[here + k]
+
+
+def tangents_of_rates(b: Block, t: Block, stage: int, states: int, place: int) -> None:
+    """Tangents of what `stage_rates` keeps."""
+    width = int(b[WIDTH])
+    moves = b[MOVING] > 0.0
+    is_integrated = b[WARM] >= 0.0
+    if moves or is_integrated:
+        invoke(b[STAGE_SLOPES], b, t)
+    row = (GAS_K + stage * WIDE) * width
+    for k in range(width):
+        t[row + k] = t[(END + 1) * width + k] if moves else 0.0
+        t[row + width + k] = t[(STAGE_RATES + 1) * width + k] if moves else 0.0
+        for j in range(2, states):
+            if j != place:
+                t[row + j * width + k] = t[(STAGE_RATES + j) * width + k] if is_integrated else 0.0
 
 
 def finish_gas_step(b: Block, t: Block) -> None:
@@ -495,7 +560,7 @@ def controlled_gas_step(b: Block, t: Block) -> bool:
             if h < SHORTEST:
                 return False
     b[GAS_STEP] = h * min(LARGEST_GROWTH, step_factor(error))
-    gas_polynomials(b, h)
+    gas_polynomials(b, t, h)
     b[STEP] = h
     return True
 
@@ -528,7 +593,8 @@ def regime_at(b: Block, t: Block, elapsed: float, relative: float, absolute: flo
 
 FUNCTIONS: Final = (
     longest_gas_step, stage_states, end_states, known_density, solve_density, stage_rates, try_gas_step, error_of,
-    gas_error, step_factor, limit, fill_polynomials, gas_polynomials, take_gas_step, gas_tangents, finish_gas_step, know_rate,
-    rest_at, controlled_gas_step, regime_of, regime_at,
+    gas_error, step_factor, limit, fill_polynomials, bend_at, gas_polynomials, take_gas_step, gas_tangents,
+    tangents_of_density, tangents_of_rates, finish_gas_step, know_rate, rest_at, controlled_gas_step, regime_of,
+    regime_at,
 )  # fmt: skip
 """What is compiled."""

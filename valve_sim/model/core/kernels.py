@@ -15,9 +15,10 @@ A valve with gas is stepped by `gas_steps`; in place of move and rest it has
 
     flow      rate of the density at a stage, and its slope
     stage     rates of all other states there
+    bend      the rate of the density's rate there
     watch     what must not become negative, and the pressures, at some time within the step
 
-of which the first two stand for `flow_slopes` and `stage_slopes`, too, with tangents if any are asked for.
+of which the first three stand for `flow_slopes`, `stage_slopes` and `bend_slopes`, too, with tangents if any are asked.
 
 With directions of derivatives each carries the tangents of what it computes along.
 """
@@ -54,7 +55,7 @@ DYNAMIC: Final = (
 )  # fmt: skip
 """Numbers that events change, and their tangents with them."""
 OF_TAYLOR: Final = ("move", "rest")
-OF_GAS: Final = ("flow", "stage", "watch", "flow_slopes", "stage_slopes")
+OF_GAS: Final = ("flow", "stage", "bend", "watch", "flow_slopes", "stage_slopes", "bend_slopes")
 OF_BOTH: Final = ("at", "spot", "row", "rows", "look", "place", "decide", "prepare")
 NAMES: Final = (*OF_TAYLOR, *OF_GAS, *OF_BOTH)
 
@@ -538,6 +539,23 @@ class Kernels:
         for slot, node in nodes.items():
             code.store(slot, series.value(node))
         self._store_tangents(code, series, nodes)
+        return code
+
+    def _bend(self) -> Code:
+        return self._bend_of(Code())
+
+    def _bend_slopes(self) -> Code:
+        return self._bend_of(self._code())
+
+    def _bend_of(self, code: Code) -> Code:
+        trace, gas = self.system.trace, self.system.gas
+        assert gas is not None
+        along = {trace.state("density"): gas.rate, self._x: self._v, trace.clock(): trace.constant(1.0)}
+        (bend,) = derivative([gas.rate], along)
+        assert bend is not None
+        series = self._at_stage(code)
+        code.store(at.BENT, series.value(bend))
+        self._store_tangents(code, series, {at.BENT: bend})
         return code
 
     def _store_tangents(self, code: Code, series: Series, nodes: Mapping[int, Node]) -> None:

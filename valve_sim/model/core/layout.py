@@ -65,7 +65,7 @@ rate of the density at the state is known from the step before; how many times t
 the last command, s; of the flow, 2 choked, 1 subsonic, negative from the outlet to the inlet; and what it will be after
 the event; whether gas leaves the outlet volume; whether forces change with time alone."""
 TANK, TANK_RATE, TANK_TIME, DEMAND = range(122, 126)
-"""Pressure of the tank at a time, Pa, at which it changes from then on, Pa/s, and that time, s; behind the demand, Pa."""
+"""Pressure of the tank at a time, Pa, its rate from then on, Pa/s, and that time, s; pressure behind the demand, Pa."""
 DECLARED_TANK, DECLARED_DEMAND, FIRST_DENSITY = range(126, 129)
 """Pa, Pa, kg/m³: the valve's own, for its start."""
 FLOW_RATE, FLOW_SLOPE, INLET_DENSITY, DEMAND_DENSITY = range(129, 133)
@@ -74,13 +74,14 @@ STAGE_RATES: Final = 133
 """What `stage` fills in: rates of x, v and the states of the coil (seven)."""
 INLET, OUTLET, OUTLET_RATE, CRITICAL, CLOSING, MASS_FLOW = range(140, 146)
 """Pa, Pa, Pa/s; the ratio of pressures at which the flow chokes; N, (G5); kg/s."""
-FLOW, FLOW_SLOPES, STAGE, STAGE_SLOPES, WATCH = range(146, 151)
+FLOW, FLOW_SLOPES, STAGE, STAGE_SLOPES, BEND, BEND_SLOPES, WATCH = range(146, 153)
 """Addresses of the kernels of gas."""
-LIMIT_START, LIMIT_END = 151, 152
+LIMIT_START, LIMIT_END = 153, 154
 """How the rates of the density at both ends of a step enter its polynomial: see `gas_steps.limit`."""
-GAS_RATE: Final = 153
-"""Rate of the density at the end of the last step, kg/(m³ s)."""
-SERIES_X: Final = 154
+GAS_RATE, BENT, BENT_START, BENT_END = range(155, 159)
+"""Rate of the density at the end of the last step, kg/(m³ s); its own rate, kg/(m³ s²), as `bend` fills it in, and at
+both ends of a step."""
+SERIES_X: Final = 159
 """ORDER + 1 coefficients of x about the start of the step."""
 SERIES_COIL: Final = SERIES_X + ORDER + 1
 """TERMS coefficients of each state of the coil."""

@@ -108,8 +108,8 @@ class Live:
     def as_valve(self, valve: Valve, tolerance: float) -> Live:
         """This state, stepped on as another valve.
 
-        Position, velocity, currents and the outlet's pressure go on. Exceptions: plungers beyond a stop that moved inwards are put at the new
-        stop; a coil without inductance takes its new current.
+        Position, velocity, currents and the outlet's pressure go on. Exceptions: plungers beyond a stop that moved
+        inwards are put at the new stop; a coil without inductance takes its new current.
 
         Raises:
             SimulationError: the gap is not inside the stroke.
@@ -140,7 +140,6 @@ class Live:
         found = Live(plan, block)
         found._events[:] = self._events
         return found
-
 
     def _go_on_with_gas(self, plan: Plan, block: Array) -> None:
         """Put the outlet's pressure, and those at both ends unless others are declared, into the block of a valve."""

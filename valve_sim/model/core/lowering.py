@@ -3,8 +3,8 @@
 They use a small part of Python: doubles, integers, truth values, blocks of doubles that are read and written by index
 or handed on from an index (`b[n:]`), assignments, conditions, loops, and calls of each other. All of it means what
 Python means by it, so that they can also be run, and read, as Python. Types are those of the annotations; a local
-variable has the type of what is first assigned to it. Numbers of the module are constants, and so are tuples of numbers,
-of which one is read at a time.
+variable has the type of what is first assigned to it. Numbers of the module are constants, and so are tuples of
+numbers, of which one is read at a time.
 """
 
 from __future__ import annotations

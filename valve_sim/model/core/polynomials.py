@@ -1,7 +1,7 @@
 """Polynomials of the integrator: their values, where they fall through 0, and how large they are.
 
-As those of `driver` these functions are compiled by `lowering`. A polynomial stands in a block, from a slot on, with its
-constant coefficient first.
+As those of `driver` these functions are compiled by `lowering`. A polynomial stands in a block, from a slot on, with
+its constant coefficient first.
 """
 
 from __future__ import annotations

@@ -170,7 +170,8 @@ class Run:
             outcome = entry("drive")(
                 block.ctypes.data, tangents.ctypes.data, commands.ctypes.data, len(commands), end,
                 most_steps(end - block[layout.TIME]), times.ctypes.data, len(times), positions.ctypes.data, 1,
-                shown.ctypes.data, others.ctypes.data, len(others), seen.ctypes.data, shown_others.ctypes.data, moves.ctypes.data, events.ctypes.data, room,
+                shown.ctypes.data, others.ctypes.data, len(others), seen.ctypes.data, shown_others.ctypes.data,
+                moves.ctypes.data, events.ctypes.data, room,
             )  # fmt: skip
             check_outcome(outcome)
             if not is_whole:

@@ -2,17 +2,17 @@
 
 The fit, parameter files, reports and the reference page follow from the entry. An effect enters the model by
 
-* `term`, a compiled force f(x, v, u, t, *parameters) in newtons, + opens,
-* `adds_to`, a declared parameter that is larger by one of its own, or
-* `rewrite`, which changes the record of the compiled core: a declared parameter, or the `fields` of a mechanism that
-  is built into the core.
+* `term`, a force f(x, v, u, t, *parameters) of arithmetic, or `force`, an expression, in newtons, + opens,
+* `friction`, the level of a dry friction, or `square`, what becomes of the square of the current that pulls,
+* `adds_to`, a declared parameter that is larger by one of its own, or `changes`, numbers of the equations that are
+  others.
 
 The `EFFECT` of every module here takes part. So does every effect that an installed package names in the entry-point
 group `valve_sim.effects`, and what a program registers.
 """
 
 from valve_sim.model.effects.catalogue import CATALOGUE, ENTRY_POINTS, Catalogue, check_effects
-from valve_sim.model.effects.entry import Effect, Severity, Tag, Term, compile_term
+from valve_sim.model.effects.entry import Effect, Severity, Tag, Term
 from valve_sim.model.effects.force_map import (
     FORCE_MAP_COEFFICIENTS,
     FORCE_MAP_VARIABLES,
@@ -20,14 +20,12 @@ from valve_sim.model.effects.force_map import (
     is_damping,
     is_periodic,
 )
-from valve_sim.model.effects.record import VALVE_RECORD, new_record
 
 __all__ = [
     "CATALOGUE",
     "ENTRY_POINTS",
     "FORCE_MAP_COEFFICIENTS",
     "FORCE_MAP_VARIABLES",
-    "VALVE_RECORD",
     "Catalogue",
     "Effect",
     "Severity",
@@ -35,8 +33,6 @@ __all__ = [
     "Term",
     "basis",
     "check_effects",
-    "compile_term",
     "is_damping",
     "is_periodic",
-    "new_record",
 ]

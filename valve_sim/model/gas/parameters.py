@@ -33,7 +33,7 @@ class GasParameters(NamedTuple):
     def numbers(self) -> list[float]:
         """Those of `core.gas.NUMBERS`, in their order: of the group, and of its fluid."""
         fluid = self.properties
-        own: tuple[float, ...] = self[:-1]  # type: ignore[assignment] # all but the fluid's name
+        own: tuple[float, ...] = self[:-1]  # all but the fluid's name
         gamma = fluid.heat_capacity_ratio
         return [*own, fluid.gas_constant, fluid.covolume, gamma, *critical_cubic(gamma)]
 
