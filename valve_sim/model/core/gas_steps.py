@@ -327,7 +327,7 @@ def gas_error(b: Block, h: float) -> float:
             total += ratio * ratio
             count += 1
     looser = LOOSER if b[MOVING] == 0.0 else LOOSER_IN_MOTION
-    return math.sqrt(total / count) / (looser * b[TOLERANCE])
+    return float(math.sqrt(total / count) / (looser * b[TOLERANCE]))
 
 
 def step_factor(error: float) -> float:
