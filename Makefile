@@ -36,8 +36,10 @@ COMPILED := valve_sim/warm.py $(shell find valve_sim/model -name '*.py')
 PARTS := $(MAKE) --no-print-directory --keep-going --jobs 2 --output-sync=target
 PARTS_ARE := two parts at a time; what each found is printed when it is done, and those that failed are named in the end
 PYTEST := -m pytest --durations 10
-# Live nodes are tested one after the other, all else by two processes.
-SIDE_BY_SIDE := --numprocesses 2 --dist worksteal
+# Two processes, each with whole files, so that what the fixtures of a file make is made once. Live nodes wait most of the
+# time; each process of their tests has a ROS domain of its own.
+SIDE_BY_SIDE := --numprocesses 2 --dist loadfile
+WITH_NODES = $(shell grep --recursive --files-with-matches --include='test_*.py' 'mark\.ros' test)
 # The tests that depend on the ROS distribution.
 KILTED_TESTS := $(foreach name,messages encoded_messages receiving node_clock tables valve_node identification_node monitor_node \
 	station supervision refusals,test/nodes/test_$(name).py)
@@ -52,16 +54,16 @@ shell: $(ENVIRONMENT)/.warm
 	@tools/environment shell $(ENVIRONMENT)
 
 test: $(ENVIRONMENT)/.ready-to-test
-	-@$(MAKE) --silent --no-print-directory $(ENVIRONMENT)/.warm
+	-@$(MAKE) --silent --no-print-directory $(ENVIRONMENT)/.warm-with-gas
 	@echo "$(PARTS_ARE)"
 	@$(PARTS) nodes lint types layers docs tests
 
 test-long: $(ENVIRONMENT)/.ready-to-test $(KILTED:%=.venv-%/.ready-to-test)
-	-@$(MAKE) --silent --no-print-directory $(ENVIRONMENT)/.warm $(KILTED:%=.venv-%/.warm)
+	-@$(MAKE) --silent --no-print-directory $(ENVIRONMENT)/.warm-with-gas $(KILTED:%=.venv-%/.warm)
 	@echo "$(PARTS_ARE)"
 	@$(PARTS) long-nodes long-tests $(KILTED) campaign
 
-nodes tests long-nodes long-tests campaign: $(ENVIRONMENT)/.warm
+nodes tests long-nodes long-tests campaign: $(ENVIRONMENT)/.warm-with-gas
 kilted: .venv-kilted/.warm
 
 # A warning is an error; stubs and pages of modules that have gone would be warned of, or stay.
@@ -85,13 +87,13 @@ tests:
 	$(PYTHON) $(PYTEST) $(SIDE_BY_SIDE) -m "not ros and not long"
 
 nodes:
-	$(PYTHON) $(PYTEST) -m "ros and not long"
+	$(PYTHON) $(PYTEST) $(SIDE_BY_SIDE) -m "ros and not long" $(WITH_NODES)
 
 long-tests:
 	$(PYTHON) $(PYTEST) $(SIDE_BY_SIDE) -m "not ros and long"
 
 long-nodes:
-	$(PYTHON) $(PYTEST) -m "ros and long"
+	$(PYTHON) $(PYTEST) -m "ros and long" $(WITH_NODES)
 
 kilted:
 	$(KILTED_PYTHON) $(PYTEST) -m "not any_distribution" $(KILTED_TESTS)
@@ -105,6 +107,11 @@ RUN_READY := $(firstword $(wildcard $(ENVIRONMENT)/.ready-to-test) $(ENVIRONMENT
 # What is compiled belongs to the sources of the model: others, as a pull brings them, are compiled here and now.
 $(ENVIRONMENT)/.warm: $(COMPILED) $(RUN_READY)
 	@$(PYTHON) -m valve_sim.warm
+	@touch $@
+
+# Tests of valves with gas run in many processes, each of which would compile it at once.
+$(ENVIRONMENT)/.warm-with-gas: $(ENVIRONMENT)/.warm
+	@$(PYTHON) -m valve_sim.warm --gas
 	@touch $@
 
 .venv-kilted/.warm: $(COMPILED) .venv-kilted/.ready-to-test

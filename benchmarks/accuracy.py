@@ -1,38 +1,39 @@
-"""How exact the model core is: `python -m benchmarks.accuracy`, or with `--sets 100` for a first look.
+"""How exact are the events and the derivatives of the model? `python -m benchmarks.accuracy`, or with `--sets 100`.
 
-Random valves under a pulse, a third of them without an effect and the others with one to three, at the tolerance of the
-core by default: when each event happens, against an independent reference (test/model/reference.py: SciPy's DOP853 with
-a relative tolerance of 1e-13, its steps at most 0.1 ms). Printed are the median, the 99th percentile and the largest
-difference, with effects and without.
+valves: random valves under a pulse, two thirds of them with one to three effects, at the core's tolerance: when each
+event happens, against an independent reference (test/model/reference.py: SciPy's DOP853 at 1e-13).
+releases: valves whose current freewheels until a diode blocks, in closed form, by the same reference.
+derivatives: of positions and currents at a tolerance of 1e-11, to all that a trace depends on, against central
+differences of fourth order at 1e-13, over the largest value of each.
+gas: twenty valves with gas against test/plants/gas.py: event times, pressure, and the balance of mass.
 
-Then 1,200 random valves whose current freewheels until a diode blocks, in closed form, by the same reference.
-
-Then the derivatives of positions and currents of 300 such valves, at a tolerance of 1e-11, to all that a trace depends
-on, as far as they are known without difference quotients: how far each is off central differences of fourth order at
-1e-13, over its largest value. Exits 1 where events are others, the largest difference is above 1e-11 s (1e-10 s for
-currents that freewheel), or a derivative is off by 1e-6.
+Exits 1 where events are others, the largest difference is above 1e-11 s (1e-10 s for currents that freewheel), a
+derivative is off by 1e-6, or gas is off by more than 5 µs + 0.1 %, 0.2 % of pressure or 1e-9 of mass.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
-from typing import Final
+from collections.abc import Iterable
+from typing import Any, Final, NamedTuple
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
-
-from valve_sim.model import simulate
-from valve_sim.model.simulation import TOLERANCE
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test"))
-from model.derivatives import ACCURACY, TIGHT, errors_of, random_case
+from model.derivatives import ACCURACY, errors_of
+from model.derivatives import random_case as random_derivatives
 from model.flux_cases import differences as differences_of_release
 from model.flux_cases import random_release
+from model.gas.cases import gas_valve
 from model.random_valves import TIMES, random_valve
 from model.reference import reference
+from plants.gas import GasValve
+from rich.console import Console
+from rich.table import Table
+from valve_sim.model.gas.sampling import ROW
+
+from valve_sim.model import Drive, EventKind, Valve, simulate
+from valve_sim.model.response import event_log, event_tuple
+from valve_sim.model.simulation import TOLERANCE, Samples, columns_of, new_states, run_record
 
 LARGEST: Final = 1e-11
 """s, that an event may be off."""
@@ -40,85 +41,190 @@ LARGEST_OF_RELEASE: Final = 1e-10
 """s, likewise where the current freewheels: plungers that the core takes back at once amplify what was off before."""
 
 
-def differences(seed: int, tolerance: float) -> tuple[bool, list[float] | None]:
-    """Whether the valve has effects, and how far each event is off, s; None where other events happen."""
-    valve, drive = random_valve(seed)
-    ours = simulate(valve, drive, TIMES, tolerance=tolerance).events
-    theirs = reference(valve.declared(), valve.effects, drive, TIMES).events
-    if [event.kind.name for event in ours] != [kind for _, kind in theirs]:
-        return bool(valve.effects), None
-    return bool(valve.effects), [abs(event.time - when) for event, (when, _) in zip(ours, theirs, strict=True)]
+def summary(words: str, errors: Iterable[float], most: float, trouble: list[int]) -> bool:
+    """Print how far off so many figures are, and whether all are as wanted; `trouble`: seeds with other events."""
+    off = np.array([*errors])
+    middle, tail, worst = (float(np.quantile(off, share)) for share in (0.5, 0.99, 1.0))
+    is_good = worst <= most and not trouble
+    print(
+        f"{'ok   ' if is_good else 'SHORT'} {len(off)} {words}: median {middle:.1e}, 99 of 100 {tail:.1e}, largest "
+        f"{worst:.1e} (at most {most:g}); other events: seeds {trouble or 'none'}",
+        flush=True,
+    )
+    return is_good
 
 
-def releases_are_good(sets: int, tolerance: float) -> bool:
-    """Print how exact the events of so many valves are whose current freewheels, and whether as exact as wanted."""
-    late: list[float] = []
-    others, lost = [], []
+def valves(sets: int, tolerance: float) -> bool:
+    """Events of random valves."""
+    off: dict[bool, list[float]] = {False: [], True: []}
+    others: dict[bool, list[int]] = {False: [], True: []}
+    for seed in range(sets):
+        valve, drive = random_valve(seed)
+        ours = simulate(valve, drive, TIMES, tolerance=tolerance).events
+        theirs = reference(valve.declared(), valve.effects, drive, TIMES).events
+        has_effects = bool(valve.effects)
+        if [event.kind.name for event in ours] != [kind for _, kind in theirs]:
+            others[has_effects].append(seed)
+            continue
+        off[has_effects] += [abs(event.time - when) for event, (when, _) in zip(ours, theirs, strict=True)]
+    named = {True: "events of valves with effects, s", False: "events of valves without, s"}
+    return all([summary(named[has], off[has], LARGEST, others[has]) for has in named])
+
+
+def releases(sets: int, tolerance: float) -> bool:
+    """Events of valves whose current freewheels; those without that the reference comes to no end with."""
+    late, others = list[float](), list[int]()
     for seed in range(sets):
         try:
             _, moment, _, same = differences_of_release(seed, tolerance, random_release)
         except RuntimeError:
-            lost.append(seed)
             continue
         late.append(moment)
-        if not same:
-            others.append(seed)
-    print(
-        f"{len(late)} valves whose current freewheels: event times off by a median of {np.median(late):.1e} s, "
-        f"99 of 100 by {np.quantile(late, 0.99):.1e} s, the largest by {max(late):.1e} s; other events: "
-        f"{others or 'none'}; the reference came to no end: {lost or 'none'}"
-    )
-    return not others and max(late) <= LARGEST_OF_RELEASE
+        others += [] if same else [seed]
+    return summary("valves whose current freewheels, worst event, s", late, LARGEST_OF_RELEASE, others)
 
 
-def derivatives_are_good(sets: int) -> bool:
-    """Print how exact the derivatives of so many random valves are, and whether all are as exact as wanted."""
-    worst: list[float] = []
-    count = unknown = seed = 0
+def derivatives(sets: int, tolerance: float) -> bool:
+    """The worst derivative of each valve, over its largest value; a valve of which none is known counts as trouble."""
+    worst, unknown, seed = list[float](), list[int](), 0
     while len(worst) < sets:
-        if (found := random_case(seed)) is not None:
+        if (found := random_derivatives(seed)) is not None:
             errors = list(errors_of(*found).values())
-            count, unknown = count + len(errors), unknown + sum(not of_one for of_one in errors)
+            unknown += [seed] if any(not of_one for of_one in errors) else []
             worst.append(max((min(of_one) for of_one in errors if of_one), default=0.0))
         seed += 1
-    print(
-        f"{count} derivatives of {sets} valves at {TIGHT:g}, {unknown} of them beside other events; the worst of each "
-        f"valve, over the largest value: median {np.median(worst):.1e}, largest {max(worst):.1e} (at most {ACCURACY:g})"
-    )
-    return unknown == 0 and max(worst) < ACCURACY
+    return summary("valves, worst derivative", worst, ACCURACY, unknown)
+
+
+# --- valves with gas --------------------------------------------------------------------------------------------------
+
+OPENING: Final = ((0.0, 9.0),)
+STROKE: Final = ((0.0, 9.0), (0.1, 0.0))
+OF_FLOW: Final = (EventKind.FLOW_CHOKED, EventKind.FLOW_SUBSONIC, EventKind.FLOW_REVERSED)
+
+
+class Case(NamedTuple):
+    """One run: a name, what differs from `gas_valve()`, commands (s, V), how long (s), leak (m²), and clogging."""
+
+    name: str
+    gas: dict[str, float]
+    drive: tuple[tuple[float, float], ...] = OPENING
+    end: float = 0.6
+    leak: float = 0.0
+    clogging: float = 1.0
+
+    @property
+    def valve(self) -> Valve:
+        """The default valve with a seat load and this gas."""
+        return gas_valve(**self.gas)
+
+
+class Run(NamedTuple):
+    """What the core did: events; outlet pressures, Pa; error of the mass balance over the largest mass in it."""
+
+    events: tuple[Any, ...]
+    pressure: Any
+    balance: float
+
+
+CASES: Final = (
+    Case("2 MPa, 10 cm³, dead end", {"inlet_pressure": 2e6}),
+    Case("10 MPa, 10 cm³, dead end", {"inlet_pressure": 10e6}),
+    Case("35 MPa, 10 cm³, dead end", {}),
+    Case("50 MPa, 10 cm³, dead end", {"inlet_pressure": 50e6}),
+    Case("70 MPa, 10 cm³, dead end", {"inlet_pressure": 70e6}),
+    Case("87.5 MPa, 0.18 mm, dead end", {"inlet_pressure": 87.5e6, "pilot_orifice_diameter": 0.18e-3}),
+    Case("35 MPa, 50 cm³, 0.25 mm", {"outlet_volume": 5e-5, "pilot_orifice_diameter": 0.25e-3}, end=1.8),
+    Case("35 MPa, 200 cm³", {"outlet_volume": 2e-4}, end=2.0),
+    Case("2 MPa, demand 0.1 mm", {"inlet_pressure": 2e6, "demand_orifice_diameter": 0.1e-3}),
+    Case("35 MPa, demand 0.05 mm", {"demand_orifice_diameter": 0.05e-3}, end=0.8),
+    Case("35 MPa, demand too large to lift", {"demand_orifice_diameter": 0.2e-3}),
+    Case("70 MPa, too weak to leave the seat", {"inlet_pressure": 70e6, "pilot_orifice_diameter": 0.23e-3}, end=0.1),
+    Case("too weak to lift: spring and gas win at 5.5 V", {"inlet_pressure": 5e6}, ((0.0, 5.5),), 0.4),
+    Case("released while it waits", {}, STROKE, 0.3),
+    Case("released while it flows", {
+        "inlet_pressure": 2e6, "demand_orifice_diameter": 0.5e-3, "pilot_orifice_diameter": 1e-3}, STROKE, 0.3),
+    Case("flows back, 2 to 3 MPa", {"inlet_pressure": 2e6, "outlet_pressure": 3e6}, end=0.2),
+    Case("flows back choked, 2 to 20 MPa", {"inlet_pressure": 2e6, "outlet_pressure": 20e6}, end=0.3),
+    Case("nearly equal from the start", {"outlet_pressure": 35e6 - 100.0}, end=0.1),
+    Case("leak of 0.1 mm", {"inlet_pressure": 10e6}, end=0.3, leak=7.85e-9),
+    Case("pilot clogged to 60 %", {}, end=0.9, clogging=0.6),
+)  # fmt: skip
+
+
+def ours(case: Case, times: Any) -> Run:
+    """Run the core; SimulationError where it comes to no end."""
+    record = case.valve.record()
+    record["leak_area"], record["clogging_ratio"] = case.leak, case.clogging
+    state, events = new_states(record, 0.0), event_log()
+    before = float(state[0]["density"])
+    rows = np.empty((len(times), columns_of(record)))
+    drive = Drive.of(*zip(*case.drive, strict=True))
+    count = run_record(record, state, drive, Samples(times, rows, times, np.empty(len(times))), events)
+    volume = float(record[0]["outlet_volume"])
+    stored = volume * (float(state[0]["density"]) - before)
+    through, gone = float(state[0]["mass_in"]), float(state[0]["mass_out"])
+    balance = abs(stored - (through - gone)) / max(abs(through), abs(gone), volume * before)
+    return Run(event_tuple(events, count), rows[:, ROW], balance)
+
+
+def theirs(case: Case, times: Any) -> tuple[list[tuple[float, str]], Any]:
+    """Run the independent plant."""
+    valve = case.valve
+    assert valve.gas is not None
+    sizes = {name: value for name, value in valve.gas._asdict().items() if name != "fluid"}
+    plant = GasValve(valve.parameters._asdict(), sizes, case.leak, case.clogging)
+    pressure = plant.run(case.drive, times)[1]
+    return sorted(plant.events), pressure
+
+
+def compare(case: Case) -> tuple[bool, list[str]]:
+    """Whether a case is within its bounds, and its row of the table."""
+    times = np.linspace(case.end / 400, case.end, 400)
+    run = ours(case, times)
+    expected, pressure = theirs(case, times)
+    found = sorted((event.time, event.kind.name) for event in run.events)
+    same = [kind for _, kind in found] == [kind for _, kind in expected]
+    pairs = list(zip(found, expected, strict=False))
+    worst = max((abs(a - b) / (5e-6 + 1e-3 * b) for (a, _), (b, _) in pairs), default=0.0)
+    late = max((abs(a - b) for (a, _), (b, _) in pairs), default=0.0)
+    off = float(np.abs(run.pressure / pressure - 1.0).max())
+    of_motion = sum(event.kind not in OF_FLOW for event in run.events)
+    is_good = same and worst <= 1.0 and off <= 2e-3 and run.balance <= 1e-9
+    counted = f"{len(found)}" if same else f"{len(found)} / {len(expected)}"
+    figures = [f"{of_motion}", f"{1e6 * late:.2f}", f"{1e6 * off:.2f}", f"{run.balance:.1e}"]
+    return is_good, [case.name, counted, *figures, "yes" if is_good else "NO"]
+
+
+def gas(sets: int, tolerance: float) -> bool:
+    """The first of `CASES` beside the independent plant."""
+    table = Table("case", "events", "of motion", "late, µs", "pressure, ppm", "mass balance", "within")
+    rows = [compare(case) for case in CASES[:sets]]
+    for _, row in rows:
+        table.add_row(*row)
+    Console(width=140).print(table)
+    return all(is_good for is_good, _ in rows)
+
+
+PARTS: Final = {
+    "valves": (valves, 1000), "releases": (releases, 1200), "derivatives": (derivatives, 300), "gas": (gas, len(CASES)),
+}  # fmt: skip
+"""What is measured, and on how many."""
 
 
 def main() -> int:
-    """Print the table; 1 if an event or a derivative is off by more than wanted."""
-    parser = argparse.ArgumentParser(description="Event times of the core against a tight DOP853.")
-    parser.add_argument("--sets", type=int, default=1000)
-    parser.add_argument("--tolerance", type=float, default=TOLERANCE)
-    parser.add_argument("--derivatives", type=int, default=300, help="valves whose derivatives are looked at")
-    parser.add_argument("--releases", type=int, default=1200, help="valves whose current freewheels")
-    chosen = parser.parse_args()
-    off: dict[bool, list[float]] = {False: [], True: []}
-    others, worst = [], (0.0, -1)
-    for seed in range(chosen.sets):
-        has_effects, found = differences(seed, chosen.tolerance)
-        if found is None:
-            others.append(seed)
-            continue
-        off[has_effects] += found
-        worst = max(worst, (max(found, default=0.0), seed))
-    table = Table("effects", "events", "median, s", "99 of 100, s", "largest, s", "beyond 1e-11 s")
-    for has_effects, found in off.items():
-        if found:
-            sizes = [float(np.quantile(found, share)) for share in (0.5, 0.99, 1.0)]
-            beyond = sum(one > LARGEST for one in found)
-            table.add_row(
-                "on" if has_effects else "off", str(len(found)), *(f"{size:.1e}" for size in sizes), str(beyond)
-            )
-    Console().print(table)
-    print(f"tolerance {chosen.tolerance:g}; other events: {others or 'none'}; the largest is of seed {worst[1]}")
-    are_good = releases_are_good(chosen.releases, chosen.tolerance) if chosen.releases else True
-    are_good &= derivatives_are_good(chosen.derivatives) if chosen.derivatives else True
-    return 0 if not others and worst[0] <= LARGEST and are_good else 1
+    """Print the figures; 1 if one is off by more than wanted."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("parts", nargs="*", metavar="PART", help=f"{', '.join(PARTS)} (default: all)")
+    parser.add_argument("--sets", type=int, help="at most so many of each")
+    parser.add_argument("--tolerance", type=float, default=TOLERANCE, help="of the events of valves without gas")
+    options = parser.parse_args()
+    if unknown := [name for name in options.parts if name not in PARTS]:
+        parser.error(f"{unknown[0]}: expected some of {', '.join(PARTS)}")
+    chosen = {name: PARTS[name] for name in options.parts or PARTS}
+    most = max(count for _, count in PARTS.values()) if options.sets is None else options.sets
+    return 0 if all([measure(min(most, count), options.tolerance) for measure, count in chosen.values()]) else 1
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    sys.exit(main())

@@ -16,16 +16,17 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 import time
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
+from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
+from plants.recording import Recorder, record, train_profile
 from scipy import stats
 
 from benchmarks.campaign.cases import Case, draw_case
+from benchmarks.campaign.declared import as_trace
 from benchmarks.campaign.effects import UNCATALOGUED
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.identify import identify
@@ -35,12 +36,7 @@ from valve_sim.identification.plants.protocol import Array, ForceMap
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.selection.force_maps import describe, fit_maps
 from valve_sim.identification.selection.search import Search
-from valve_sim.model import Drive, Valve
-from valve_sim.traces import Trace
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test"))
-from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
-from plants.recording import Recorder, Recording, record, train_profile
+from valve_sim.model import Valve
 
 RECORDERS = {
     "1 µm white, 0.1 µm steps": Recorder(quantisation=0.1e-6),
@@ -97,12 +93,6 @@ def true_dampings(seed: int) -> dict[str, float]:
     """The dampings of this seed's valve, N·s/m."""
     random = np.random.default_rng([seed, 1])
     return {name: math.exp(random.uniform(math.log(low), math.log(high))) for name, (low, high) in RANGES.items()}
-
-
-def as_trace(recording: Recording, source: str) -> Trace:
-    """A recording as `read_trace` would give it."""
-    drive = Drive(recording.command_times, recording.volts)
-    return Trace(source, drive, recording.times, recording.pilot_position, recording.main_position)
 
 
 def outcomes(seed: int, recorder: Recorder, valve: Valve) -> dict[str, Outcome]:

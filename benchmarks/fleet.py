@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import argparse
 import resource
-import sys
 import tempfile
 import time
 from collections.abc import Iterable, Iterator, Sequence
@@ -28,23 +27,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-
-from valve_sim.files.parameter_files import default_valve
-from valve_sim.fleet.cluster import Cluster, run_batches
-from valve_sim.fleet.columns import followed as followed_quantities
-from valve_sim.fleet.rows import refitted, row_without_search
-from valve_sim.fleet.run import examine_fleet, examine_with
-from valve_sim.fleet.sources import find_bags
-from valve_sim.fleet.trends import drifts, series_of
-from valve_sim.fleet.units import EXAMINED, Options, ParameterChoice, Row, Unit, plan
-from valve_sim.fleet.work import Examined, examine_units, survey_bags
-from valve_sim.identification.estimation.budget import Budget
-from valve_sim.model import Drive
-from valve_sim.traces import Trace
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test"))
 from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
 from plants.recording import BAG_START_NS, Recorder, Recording, record, train_bags, write_bag
+
+from valve_sim.fleet.cluster import Cluster, run_batches
+from valve_sim.fleet.run import examine_with
+from valve_sim.fleet.sources import find_bags
+from valve_sim.fleet.units import Options, ParameterChoice, Unit, plan
+from valve_sim.fleet.work import Examined, examine_units, survey_bags
 
 DAYS, DAY_NS = 100, 86_400_000_000_000
 RECORDER = Recorder(quantisation=0.1e-6, command_jitter=20e-6, sample_rate=10e3)
@@ -56,9 +46,6 @@ TIRED = 0.85
 """Spring rate and preload at the end, of those at the start."""
 GROWING, TIRING = (3, 8), 12
 """Numbers of the valves that drift."""
-
-COMPARED = 40
-"""Bags that are examined as a fleet and without."""
 
 
 class Named(NamedTuple):
@@ -85,15 +72,15 @@ class Taken(NamedTuple):
         return f"/line_{self.valve}/valve"
 
 
-def recordings(bags: int, valves: int, seed: int, most: int | None = None) -> Iterator[Taken]:
-    """The recordings of a station, in the order in which they are taken; `most`: the first of them alone."""
+def recordings(bags: int, valves: int, seed: int) -> Iterator[Taken]:
+    """The recordings of a station, in the order in which they are taken."""
     random = np.random.default_rng(seed)
     own = [
         {name: CAMPAIGN_VALVE[name] + sigma * random.standard_normal() for name, sigma in TOLERANCES.items()}
         for _ in range(valves)
     ]
     profiles = train_bags(8)
-    for number in range(bags if most is None else most):
+    for number in range(bags):
         valve, share = number % valves, number / bags
         values = {**CAMPAIGN_VALVE, **own[valve]}
         if valve == TIRING:
@@ -109,40 +96,6 @@ def make_station(folder: Path, taken: Iterable[Taken]) -> None:
     """Write recordings as bags."""
     for one in taken:
         write_bag(one.recording, folder / f"line_{one.valve}" / f"bag_{one.number:05d}", one.name, one.start)
-
-
-def rows_here(taken: Iterable[Taken]) -> Iterator[Row]:
-    """What a fleet's units find in these recordings, without bags."""
-    declared = default_valve()
-    for one in taken:
-        made = one.recording
-        source = f"bag_{one.number:05d}"
-        drive = Drive.of(made.command_times, made.volts)
-        trace = Trace(source, drive, made.times, made.pilot_position, made.main_position, epoch_ns=one.start)
-        _, followed = refitted(trace, declared, Budget.unlimited())
-        yield {"state": EXAMINED, "source": source, "valve": one.name, **row_without_search(trace, followed)}
-
-
-def largest_difference(bags: int, valves: int, seed: int, compared: int) -> float:
-    """Between the figures of rows from bags and of rows without, in standard errors."""
-    with tempfile.TemporaryDirectory() as place:
-        folder = Path(place)
-        make_station(folder / "bags", recordings(bags, valves, seed, compared))
-        examined = examine_fleet([str(folder / "bags")], folder / "out", options=Options(search=False)).rows
-    by_name = {Path(row["source"]).name: row for row in examined}
-    return max(
-        abs(row[own.name] - by_name[row["source"]][own.name]) / row[own.stderr]
-        for row in rows_here(recordings(bags, valves, seed, compared))
-        for own in followed_quantities()
-        if row.get(own.stderr)
-    )
-
-
-def named_here(seed: int, bags: int, valves: int) -> Named:
-    """The valves that drift by the same fits and the same test, in this process and without files."""
-    begun, before = time.perf_counter(), _processor()
-    found = drifts(series_of(list(rows_here(recordings(bags, valves, seed)))))
-    return _named(seed, [drift.valve for drift in found], valves, (begun, before))
 
 
 def named(seed: int, bags: int, valves: int, options: Options) -> Named:
@@ -269,7 +222,6 @@ def main() -> None:
     parser.add_argument("--valves", type=int, default=20)
     parser.add_argument("--search", action="store_true", help="search for effects, too")
     parser.add_argument("--budget", type=float, default=120.0, help="s of a processor for one unit that is searched")
-    parser.add_argument("--here", action="store_true", help="without bags, files and cluster")
     parser.add_argument("--nothing", type=int, nargs="*", default=[], help="numbers of units")
     parser.add_argument(
         "--workers", type=int, default=0, metavar="UNITS", help="so many units on one worker and on two"
@@ -280,14 +232,8 @@ def main() -> None:
     if chosen.nothing:
         overhead(chosen.nothing)
     for seed in range(chosen.first, chosen.first + chosen.seeds):
-        if chosen.here:
-            if seed == chosen.first:
-                differs = largest_difference(chosen.bags, chosen.valves, seed, COMPARED)
-                print(f"{COMPARED} bags as a fleet and here: {differs:.1g} standard errors apart at most")
-            one = named_here(seed, chosen.bags, chosen.valves)
-        else:
-            options = Options(budget=chosen.budget, search=chosen.search)
-            one = named(seed, chosen.bags, chosen.valves, options)
+        options = Options(budget=chosen.budget, search=chosen.search)
+        one = named(seed, chosen.bags, chosen.valves, options)
         print(
             f"seed {seed}: {len(one.found & one.wanted)} of {len(one.wanted)} that drift named, "
             f"{len(one.found - one.wanted)} of {chosen.valves - len(one.wanted)} others; "

@@ -1,165 +1,178 @@
-"""Real recordings before and after their sensors' errors are part of the model: `python -m benchmarks.real_recordings`.
+"""Machines that others have measured, by files alone: `python -m benchmarks.real_recordings [DATA]`.
 
-The servo axis of `benchmarks.emps` and the magnet of `benchmarks.maglev` are diagnosed twice: with recordings that do
-not err, and with sensors and a machine that do, as data sheets and warming let expect. What is printed is the table of
-docs/results/measured.md: verdicts, errors fitted and held out of the refitted declared model and of the nearest names,
-and the state of the recordings beside these names; then that of each of several recordings by itself.
+DATA holds the published files as docs/examples/own_plants/make_csv.py says; its plants and maps are those that a reader
+of the documentation has. Printed are, for each machine, values and errors of models that are fitted to all of its
+recordings, beside what its owners published, and what a diagnosis says. It is the table of docs/results/measured.md.
 """
 
 from __future__ import annotations
 
+import argparse
+import math
+import runpy
 import sys
+import tempfile
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Final, NamedTuple
 
-from benchmarks import emps
-from benchmarks.maglev.plant import MagnetPlant
-from benchmarks.maglev.records import DEFAULT, read_jumps, records_in
+import numpy as np
+
+from valve_sim.files.plant_files import load_plant
+from valve_sim.identification.diagnosis.own_plant import PlantIdentification, identify_plant
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose_plant
-from valve_sim.identification.estimation.problem import Problem
-from valve_sim.identification.estimation.recorded_errors import RecordedError, recorded_errors
-from valve_sim.identification.estimation.result import Fit
-from valve_sim.identification.estimation.solver import fit
-from valve_sim.identification.estimation.state_of_recording import with_learned_errors
-from valve_sim.identification.plants.axis import AxisPlant
-from valve_sim.identification.plants.effect_titles import titles_of
-from valve_sim.identification.plants.protocol import Plant, Sensor, primary_channels
-from valve_sim.identification.reporting.recording_state import size_words, title_words
+from valve_sim.identification.plants.own import OwnPlant
+from valve_sim.identification.plants.root_mean_square import root_mean_square
+from valve_sim.identification.reporting.summary import summarise
+from valve_sim.identification.reporting.units import measured, quantity
 from valve_sim.model import ValveError
+from valve_sim.traces.columns import read
 
-FORCE_SENSOR: Final = Sensor(320.0, low=-160.0, shares={"hum": 0.0}, is_true_at_rest=False)
-"""N: the drive's force is what its amplifier was told, times a gain. Filters leave nothing of the mains. While the axis
-cruises its force is steady, but friction acts, which the declared model lacks."""
-FRICTION_VARIES: Final = 0.05
-"""From one out-and-back to the next, as lubrication does."""
-CURRENT_SENSOR: Final = Sensor(3.0, shares={"zero": 1e-3}, is_true_at_rest=False)
-"""A, of the rig: its zero has been taken off by readings with 6 mA of noise. The current rises while the ball rests."""
-CURRENT_VARIES: Final = 0.02
-"""From jump to jump, as of a coil that is 5 K warmer."""
+EXAMPLES: Final = Path(__file__).resolve().parents[1] / "docs" / "examples" / "own_plants"
+DATA: Final = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
-class Compared(NamedTuple):
-    """A recording's diagnoses.
+class Rung(NamedTuple):
+    """A model that is fitted to all recordings.
 
     Attributes:
-        name: of the machine. before: as if nothing erred. after: with the errors of its recordings.
-        names: that are nearest after. errors: of the recordings, beside these.
+        effects: that are added to the declared machine. published: values and errors, as its owners have them.
     """
 
-    name: str
-    before: Diagnosis
-    after: Diagnosis
-    names: tuple[str, ...]
-    errors: tuple[RecordedError, ...]
+    effects: tuple[str, ...]
+    published: Mapping[str, str] = {}
 
 
-def compared(name: str, bare: Plant, erring: Plant) -> Compared:
-    """A machine diagnosed without and with the errors of its recordings."""
-    before, after = diagnose_plant(bare, None), diagnose_plant(erring, None)
-    names = after.verdict.effects
-    return Compared(name, before, after, names, beside(after, names))
+class RealMachine(NamedTuple):
+    """A machine of the examples.
+
+    Attributes:
+        plant: begins the names of its two files. tables: begins those of its tables. rungs: models, in this order.
+    """
+
+    plant: str
+    tables: str
+    rungs: tuple[Rung, ...]
 
 
-def beside(diagnosis: Diagnosis, names: Sequence[str]) -> tuple[RecordedError, ...]:
-    """The errors of all strokes of a diagnosed plant's recordings, learned beside some names."""
-    plant = diagnosis.plant
-    free = [*plant.base, *(own for name in names for own in plant.effects[name].free_names())]
-    candidate = next((one for one in diagnosis.candidates if set(one.effects) == set(names)), None)
-    start = {} if candidate is None else {name: own.value for name, own in candidate.intervals.items()}
-
-    def fitted(problem: Problem, begun: Fit | None) -> Fit:
-        return fit(problem, free, start if begun is None else begun.values, nuisances=problem.nuisances)
-
-    return recorded_errors(with_learned_errors(Problem(plant), fitted)[1])
-
-
-def table(machines: Sequence[Compared]) -> list[str]:
-    """The lines of the one table in Markdown: two columns for each machine."""
-    pairs = [(own.before, own.after) for own in machines]
-    heads = [f"{own.name}, {when}" for own in machines for when in ("before", "after")]
-    diagnoses = [diagnosis for pair in pairs for diagnosis in pair]
-    lines = [_row("", heads), "|---" * (1 + len(heads)) + "|"]
-    lines += [
-        _row(
-            "verdict; nearest names", [f"`{own.verdict.kind}`; {titles_of(own.verdict.effects)}" for own in diagnoses]
+MACHINES: Final = (
+    RealMachine(
+        "emps",
+        "emps",
+        (
+            Rung(()),
+            Rung(("coulomb_friction",)),
+            Rung(
+                ("coulomb_friction", "load"),
+                {"mass": "95.1 kg", "viscous": "203.5 N·s/m", "coulomb_friction.level": "20.39 N",
+                 "load.load": "3.16 N", "share": "4.08 %"},
+            ),
+            Rung(("asymmetric_friction",), {"share": "3.11 %"}),
         ),
-        _row("probability of something unnamed", [f"{own.verdict.unnamed:.3f}" for own in diagnoses]),
-        _row("declared model, fitted / held out", [_errors(own, ()) for own in diagnoses]),
-        _row("nearest names, fitted / held out", [_errors(own, own.verdict.effects) for own in diagnoses]),
-        _row(
-            "share of the squared error that they explain", [f"{100.0 * own.verdict.share:.1f} %" for own in diagnoses]
-        ),
-    ]
-    kinds = [_by_title(own.errors) for own in machines]
-    for title in dict.fromkeys(title for own in kinds for title in own):
-        cells = [cell for own in kinds for cell in ("", _together(own.get(title, [])))]
-        lines.append(_row(title, cells))
-    return lines
+    ),
+    RealMachine("knob", "knob", (Rung(()), Rung(("coulomb_friction",)), Rung(("coulomb_friction", "load")))),
+    RealMachine(
+        "kicker", "empty", (Rung((), {"resistance": "0.387 to 0.396 Ω", "inductance": "284 to 295 µH"}),)
+    ),
+    RealMachine("maglev", "force", (Rung(()), Rung(("inductance_of_distance",)))),
+)  # fmt: skip
+"""EMPS: Janot, Gautier, Brunot 2019. Kicker: read off by its owners, with its wiring."""
 
 
-def each(found: Compared) -> list[str]:
-    """The lines of a table of the errors of each recording of a machine."""
-    kinds = _by_title(found.errors)
-    lines = [_row(f"{found.name}: jump", list(kinds)), "|---" * (1 + len(kinds)) + "|"]
-    for number in sorted({entry.recording for entry in found.errors}):
-        own = [[entry for entry in entries if entry.recording == number] for entries in kinds.values()]
-        lines.append(_row(f"{number + 1}", [_together(entries) for entries in own]))
-    return lines
-
-
-def _by_title(errors: Sequence[RecordedError]) -> dict[str, list[RecordedError]]:
-    kinds: dict[str, list[RecordedError]] = {}
-    for entry in errors:
-        kinds.setdefault(title_words(entry), []).append(entry)
-    return kinds
-
-
-def _together(entries: Sequence[RecordedError]) -> str:
-    """The size with its standard error, and the probability; of several the least, the largest, how many are likely."""
-    if len(entries) < 2:
-        return "; ".join(f"{size_words(own)} ({own.probability:.2f})" for own in entries)
-    ordered = sorted(entries, key=lambda own: own.size)
-    likely = sum(own.is_likely for own in entries)
-    return f"{size_words(ordered[0])} to {size_words(ordered[-1])}; likely in {likely} of {len(entries)}"
-
-
-def _errors(diagnosis: Diagnosis, names: Sequence[str]) -> str:
-    """Fitted and held out, of the refitted declared model or of names, in a readable unit."""
-    factor, unit = diagnosis.plant.channels[primary_channels(diagnosis.plant)[0]].readable
-    of_names = [(set(one.effects), one.train_rmse, one.holdout_rmse) for one in diagnosis.candidates]
-    before = set[str](), diagnosis.before.train_rmse, diagnosis.before.holdout_rmse
-    fitted, held_out = next(errors for own, *errors in (before, *of_names) if own == set(names))
-    return f"{factor * fitted:.2f} / {factor * held_out:.2f} {unit}"
-
-
-def _row(title: str, cells: Sequence[str]) -> str:
-    return f"| {title} | " + " | ".join(cells) + " |"
-
-
-def plants() -> Mapping[str, tuple[Plant, Plant]]:
-    """Of each machine that was recorded by others, the plant without and with errors of its recordings.
+def machine(data: Path, name: str, tables: Sequence[Path]) -> OwnPlant:
+    """A machine of the examples with its recordings.
 
     Raises:
-        ValveError: the data are not there.
+        ValveError: there are none.
     """
-    record, jumps = emps.read_emps(emps.DEFAULT), read_jumps(records_in(DEFAULT, "force"))
-    return {
-        "servo axis (EMPS)": (
-            AxisPlant(record),
-            AxisPlant(record, sensor=FORCE_SENSOR, variation=FRICTION_VARIES),
-        ),
-        "magnet": (MagnetPlant(jumps), MagnetPlant(jumps, CURRENT_SENSOR, CURRENT_VARIES)),
-    }
+    own = next(one for one in MACHINES if one.plant == name)
+    logs = [path for path in tables if path.name.startswith(own.tables)]
+    if not logs:
+        raise ValveError(f"{data}: holds no measurements of {name}; get them as {EXAMPLES / 'make_csv.py'} says")
+    recordings = [read(log, EXAMPLES / f"{name}_map.yaml") for log in logs]
+    return OwnPlant(load_plant(EXAMPLES / f"{name}.yaml"), recordings)
 
 
-def main() -> int:
-    """Print the tables; 2 where the data are missing."""
+def fitted(plant: OwnPlant, effects: Sequence[str]) -> PlantIdentification:
+    """The machine with some effects, fitted to all recordings."""
+    added = [f"{effect}.{own}" for effect in effects for own in plant.file.effects[effect].parameters]
+    return identify_plant(plant, (*plant.base, *added))
+
+
+def share_left(found: PlantIdentification) -> float:
+    """Norm of what is left over the norm of what was measured: the figure that Janot et al. publish."""
+    plant = found.plant
+    channels, shown = plant.channels, plant.predict(found.fit.values)
+    left = math.hypot(*(root_mean_square(own.kept(own.data - one)) for own, one in zip(channels, shown, strict=True)))
+    return left / math.hypot(*(root_mean_square(own.kept(own.data)) for own in channels))
+
+
+def lines_of(rung: Rung, found: PlantIdentification) -> list[str]:
+    """What one model comes to."""
+    errors = [own.after for own in found.errors]
+    unit = found.errors[0].unit
+    share = f"   published {rung.published['share']}" if "share" in rung.published else ""
+    lines = [
+        f"  {' + '.join(rung.effects) or '(as declared, refitted)'}: rms error {quantity(min(errors), unit)} to "
+        f"{quantity(max(errors), unit)} by recording, {100.0 * share_left(found):.2f} % of the signal{share}"
+    ]
+    for name, own in found.intervals.items():
+        published = f"   published {rung.published[name]}" if name in rung.published else ""
+        lines.append(f"    {name:<36}{measured(own, found.plant.parameter(name).unit)}{published}")
+    return lines
+
+
+def lines_of_diagnosis(found: Diagnosis) -> list[str]:
+    """The verdict, and the errors fitted and held out of the declared model and of the names."""
+    channel = found.plant.channels[0]
+    held = next((one for one in found.candidates if set(one.effects) == set(found.verdict.effects)), None)
+    pairs = [(found.before.train_rmse, found.before.holdout_rmse)]
+    pairs += [] if held is None else [(held.train_rmse, held.holdout_rmse)]
+    errors = ", ".join(" / ".join(quantity(one, channel.unit) for one in pair) for pair in pairs)
+    return [
+        f"  {found.verdict.kind} ({found.verdict.probability:.2f}): {summarise(found)}",
+        f"  fitted / held out, as declared, then with the names: {errors}",
+    ]
+
+
+def report(data: Path, names: Sequence[str]) -> list[str]:
+    """The lines of all machines whose measurements are there.
+
+    Raises:
+        ValveError: those of none are.
+    """
+    lines: list[str] = []
+    with tempfile.TemporaryDirectory() as folder:
+        tables = runpy.run_path(str(EXAMPLES / "make_csv.py"))["make"](data, Path(folder))
+        for own in MACHINES:
+            if own.plant not in names:
+                continue
+            try:
+                plant = machine(data, own.plant, tables)
+            except ValveError as error:
+                print(error, file=sys.stderr)
+                continue
+            count = sum(int(np.sum(~one.left_out)) if one.left_out is not None else one.count for one in plant.channels)
+            lines.append(f"{own.plant}: {len(plant.recordings)} recordings, {count} samples")
+            for rung in own.rungs:
+                lines += lines_of(rung, fitted(plant, rung.effects))
+            lines += [*lines_of_diagnosis(diagnose_plant(plant, None)), ""]
+    if not lines:
+        raise ValveError(f"{data}: holds no measurements of {', '.join(names)}")
+    return lines
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print the lines; 2 where all data are missing."""
+    parser = argparse.ArgumentParser(description="Fit and diagnose machines that others have measured.")
+    parser.add_argument("data", nargs="?", type=Path, default=DATA, help="the folder of published measurements")
+    parser.add_argument("--only", default=",".join(own.plant for own in MACHINES), metavar="NAMES", help="emps,knob")
+    chosen = parser.parse_args(arguments)
     try:
-        found = [compared(name, bare, erring) for name, (bare, erring) in plants().items()]
+        print("\n".join(report(chosen.data, chosen.only.split(","))))
     except ValveError as error:
         print(error, file=sys.stderr)
         return 2
-    print("\n".join([*table(found), "", *each(found[-1])]))
     return 0
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from benchmarks.__main__ import GROUPS, HERE, Benchmark
 LISTED = [own for members in GROUPS.values() for own in members]
 OF_A_FIGURE = {"posterior_figure"}
 """Draws a figure of the documentation; measures nothing."""
+DOCS = Path(__file__).parents[1] / "docs"
 
 
 def modules_that_run() -> set[str]:
@@ -23,18 +25,18 @@ def modules_that_run() -> set[str]:
     return {name for name in found if not name.endswith("__main__")} | packages
 
 
-def test_every_benchmark_is_listed_once() -> None:
-    names = [own.module for own in LISTED]
-    assert sorted(names) == sorted(modules_that_run() - OF_A_FIGURE)
+def test_every_program_is_listed_and_no_command_twice() -> None:
+    assert {own.module for own in LISTED} == modules_that_run() - OF_A_FIGURE
+    assert len({own.command for own in LISTED}) == len(LISTED)
 
 
-@pytest.mark.parametrize("own", LISTED, ids=lambda own: own.module)
+@pytest.mark.parametrize("own", LISTED, ids=lambda own: own.command.partition("benchmarks.")[2])
 def test_each_says_what_it_answers(own: Benchmark) -> None:
     assert 15 < len(own.question) < 140
     assert "python" not in own.question
 
 
-def test_what_documents_print_is_listed() -> None:
-    text = (Path(__file__).parents[1] / "docs" / "results" / "measured.md").read_text(encoding="utf-8")
-    printed = {own.module for own in LISTED if f"benchmarks.{own.module}" in text}
-    assert len(printed) > 25
+@pytest.mark.parametrize("path", sorted(DOCS.rglob("*.md")), ids=lambda path: path.relative_to(DOCS).as_posix())
+def test_what_a_document_prints_can_be_run(path: Path) -> None:
+    printed = set(re.findall(r"-m benchmarks\.([a-z_.]+[a-z])", path.read_text(encoding="utf-8")))
+    assert printed <= modules_that_run()

@@ -74,6 +74,7 @@ def test_a_limit_within_tolerances_is_what_they_cannot_imitate() -> None:
     assert SHEET_VALVE["seat_load"] == 0.3
 
 
+@pytest.mark.long
 def test_an_effect_that_takes_up_an_unknown_deviation_is_not_judged() -> None:
     assert set(draw_case("reluctance", 16).truth) == {"stroke_offset"}
     assert true_effects(draw_case("reluctance", 16)) == {}
@@ -100,12 +101,14 @@ def test_an_exact_file_is_wrong_in_one_value_or_one_effect(seed: int) -> None:
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("turn", [0, 4])
 def test_effects_at_limits_take_the_same_number_of_limits_for_a_round(turn: int) -> None:
     case = draw_case("at_limits", len(CATALOGUED) * turn + 3)
     assert case.amplitudes == {"constant_force": pytest.approx(AT_LIMITS[turn])}
 
 
+@pytest.mark.long
 def test_an_effect_beside_an_unnamed_one_is_all_that_is_to_be_named() -> None:
     case = draw_case("unnamed_beside", 0)
     assert len(case.truth) == 2

@@ -88,7 +88,19 @@ def exact(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_help_of_every_command_teaches_by_example(command: str):
-    assert f"\n    {invocation()} {command} " in run_well(command, "--help").output
+    output = run_well(command, "--help").output
+    assert f"\n    {invocation()} {command} " in output
+    pages = re.findall(r"docs/\S+\.md", output.split("Read on:")[1].split("Options:")[0])
+    assert pages
+    assert all((Path(__file__).parents[1] / page).is_file() for page in pages)
+
+
+@pytest.mark.parametrize("command", ["", *COMMANDS])
+def test_help_fits_a_terminal_of_80_columns(command: str, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setattr("valve_sim.cli.command_line.invocation", lambda: "valve-sim")
+    output = run_well(*([command] if command else []), "--help").output
+    assert [line for line in output.splitlines() if len(line) > 80] == []
 
 
 def test_help_lists_every_command_and_keeps_examples_as_they_stand():

@@ -156,3 +156,13 @@ def test_the_pictures_of_rooms_are_drawn_from_the_code(name: str, monkeypatch: p
     rooms = importlib.import_module("rooms")
     kept = (ROOT / "docs" / "images" / name).read_text(encoding="utf-8")
     assert kept == rooms.drawn(rooms.PICTURES[name]), "draw it again: python docs/_ext/rooms.py docs/images"
+
+
+def test_the_reading_list_of_the_code_names_what_is_there() -> None:
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| \d+ \| `(valve_sim/\S+)` \| (.*?) \|", page, re.MULTILINE)
+    assert len(rows) == 12
+    for place, words in rows:
+        source = (ROOT / place).read_text(encoding="utf-8")
+        for name in re.findall(r"`(\w+)`", words):
+            assert re.search(rf"^(def|class) {name}\b", source, re.MULTILINE), f"{place}: {name}"

@@ -16,7 +16,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from click.testing import CliRunner
 from own_domain import own_domain
+
+from valve_sim.cli import main
 
 pytestmark = [pytest.mark.ros, pytest.mark.long]
 
@@ -192,6 +195,27 @@ def test_the_page_of_the_current_alone_works_as_printed(terminal: tuple[Path, di
     folder, told = run_page("docs/sensorless.md", terminal)
     assert report_in(folder / "results")["verdict"]["kind"] in ("none", "insufficient")
     assert "\npassed\n" in told
+
+
+EXTRAS = {"fleet": "distributed", "history": "distributed", "export-fmu": "pythonfmu"}
+"""What the examples of some commands need beyond the package: a module to look for."""
+
+
+@pytest.mark.parametrize("command", sorted(main.commands))
+def test_the_first_example_of_each_help_works_as_printed(
+    command: str, terminal: tuple[Path, dict[str, str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if command in EXTRAS:
+        pytest.importorskip(EXTRAS[command])
+    monkeypatch.setattr("valve_sim.cli.command_line.invocation", lambda: "valve-sim")
+    output = CliRunner().invoke(main, [command, "--help"]).output
+    example = next(part for part in output.split("\n\n") if part.startswith("    "))
+    folder, environment = terminal
+    ran = subprocess.run(
+        ["bash", "-euc", example],
+        cwd=folder, env=environment, capture_output=True, text=True, timeout=PATIENCE, check=False,
+    )  # fmt: skip
+    assert ran.returncode == 0, f"{example}\n{ran.stdout}\n{ran.stderr}"
 
 
 def assert_described(report: dict[str, Any], page: str) -> None:

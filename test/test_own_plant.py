@@ -15,6 +15,8 @@ from scipy.integrate import solve_ivp
 
 import valve_sim as vs
 from valve_sim.cli import main
+from valve_sim.identification.plants.own import OwnPlant
+from valve_sim.traces.columns import read
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples" / "own_plants"
 
@@ -243,3 +245,44 @@ def test_masks_derivatives_and_units_of_columns(tmp_path: Path) -> None:
     expected = np.deg2rad(2.0 * np.pi * np.cos(2.0 * np.pi * (times - 0.5)))
     assert np.max(np.abs(speed - expected)[inside]) < 1e-3
     assert "q" in repr(read)
+
+
+def test_where_a_measured_velocity_passes_through_0_the_force_of_a_plant_without_states_is_not_compared(
+    tmp_path: Path,
+) -> None:
+    times = np.arange(0.0, 4.0, 1e-3)
+    np.savetxt(
+        tmp_path / "t.csv", np.c_[times, np.cos(np.pi * times), np.sign(np.sin(np.pi * times))], delimiter=",",
+        header="t,q,f", comments="",
+    )  # fmt: skip
+    plant = vs.load_plant(
+        plant_file(tmp_path, "{add: {f: level*sign(v)}, parameters: {level: {unit: N, neutral: 0, scale: 1}}}")
+    )
+    steady = vs.load_plant(
+        plant_file(tmp_path, "{add: {f: level*v}, parameters: {level: {unit: N*s/m, neutral: 0, scale: 1}}}")
+    )
+    recording = read(tmp_path / "t.csv", {
+        "time": "t", "v": {"column": "q", "unit": "m", "derivative": 1, "low_pass": 50}, "f": {"column": "f", "unit": "N"},
+    })  # fmt: skip
+    rubbing = OwnPlant(plant, [recording])
+    left_out = rubbing.channels[0].left_out
+    assert left_out is not None
+    from_turn = np.abs(times - np.round(times))
+    inside = (times > 0.5) & (times < 3.5)
+    assert left_out[inside & (from_turn < 0.008)].all()
+    assert not left_out[inside & (from_turn > 0.013)].any()
+    assert "v passes through 0" in rubbing.findings[0]
+    assert OwnPlant(steady, [recording]).channels[0].left_out is None
+
+
+def plant_file(folder: Path, effect: str) -> Path:
+    """A plant without states: the force that a motion requires, and one effect."""
+    text = f"""
+plant: equations
+inputs: {{v: {{unit: m/s}}}}
+parameters: {{viscous: {{value: 1, unit: N*s/m, free: true, range: [0, 10]}}}}
+outputs: {{f: {{value: viscous*v, unit: N, noise: 0.1}}}}
+effects: {{one: {effect}}}
+"""
+    (folder / "plant.yaml").write_text(text)
+    return folder / "plant.yaml"

@@ -8,12 +8,11 @@ import sys
 from pathlib import Path
 
 import pytest
-from valve_sim.model.compiling import COMPILING
 
 from valve_sim.files.parameter_files import load_valve
 from valve_sim.files.resources import config_path
 from valve_sim.model import Stepper
-from valve_sim.warm import warm_gas
+from valve_sim.warm import COMPILING, warm_gas
 
 SIMULATE = ("-m", "valve_sim", "simulate", "--voltage", "9", "--duration", "0.02", "--output")
 USE_ALL = """

@@ -142,7 +142,7 @@ class Simulation(Response):
 
 
 class _Refitted:
-    """What every identification shows of its fit."""
+    """The figures of a fit that every identification shows."""
 
     fit: Fit
     intervals: Mapping[str, Interval]
@@ -171,7 +171,7 @@ class _Refitted:
         return _table(self._rows())
 
     def residual(self) -> Residual:
-        """What the refitted model leaves."""
+        """The residual of the refitted model, measured less simulated."""
         return _residual(self.fit)
 
     def plot(self) -> Picture:

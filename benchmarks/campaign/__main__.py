@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from benchmarks.campaign import __doc__ as campaign_words
-from benchmarks.campaign.cases import EXACT, FAMILIES, NOISES, RECORDED, WITHIN, draw_case, planned
+from benchmarks.campaign.cases import BENCHES, EXACT, FAMILIES, NOISES, RECORDED, WITHIN, draw_case, planned
 from benchmarks.campaign.constants import constants_table
 from benchmarks.campaign.effects import CATALOGUED, EARLIER_LIMITS
 from benchmarks.campaign.figures import (
@@ -26,6 +26,7 @@ from benchmarks.campaign.figures import (
     figures,
     imperfection_table,
     least_demands,
+    measured_table,
     reliability_table,
     tolerance_figures,
 )
@@ -110,7 +111,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--only",
         help=f"families, with commas: {known}\n"
-        f"(default: those with tolerances, or all others; never {', '.join(RECORDED)})",
+        f"(default: those with tolerances, or all others; never {', '.join((*RECORDED, *BENCHES))})",
     )
     parser.add_argument(
         "--tolerances", action="store_true", help="declared values off within their tolerances, and the figures of that"
@@ -192,6 +193,8 @@ def _print_tables(outcomes: Sequence[Outcome], *, has_limits: bool) -> None:
         print(reliability_table(outcomes), end="\n\n")
     if any(outcome.case.laboratory for outcome in outcomes):
         print(imperfection_table(outcomes), end="\n\n")
+    if measured := measured_table([one for one in outcomes if one.case.family in {"mistake", *BENCHES}]):
+        print(measured, end="\n\n")
 
 
 def _limits_table() -> str:
@@ -229,6 +232,8 @@ def _run_again(parser: argparse.ArgumentParser, name: str) -> int:
         print(
             f"deviations {', '.join(f'{name} {value:+.1f}' for name, value in case.deviations.items())}, in tolerances"
         )
+    if (bench := case.bench) is not None:
+        print(f"bench      {bench.words}")
     print(
         f"recorded   {case.noise}, {'with' if case.with_current else 'without'} current, clocks {case.clock_offsets} s"
     )
@@ -239,10 +244,12 @@ def _run_again(parser: argparse.ArgumentParser, name: str) -> int:
     for diagnosis in diagnoses:
         print(f"\n{_diagnosis_text(diagnosis)}")
     covered = outcome.is_covered or {}
+    for figure, value in outcome.measured.items():
+        print(f"measured   {figure} {math.nan if value is None else value:.4g}")
     print(f"\nlabel      {outcome.label}, noise of the last bag {outcome.noise_floor:.4f} µm")
     print(f"covered    {covered}")
     for value, entry in outcome.answers[0].declared.items():
-        true = true_declared(case).get(value, math.nan)
+        true = math.nan if case.bench is not None else true_declared(case).get(value, math.nan)
         print(f"    {value:<28} true {true:.6g}, {', '.join(f'{key} {number:.6g}' for key, number in entry.items())}")
     print(f"seconds    {', '.join(f'{answer.seconds:.1f}' for answer in outcome.answers)}")
     return 0

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 import tempfile
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -21,6 +22,9 @@ from plants.reluctance import DATA_SHEET, ReluctancePlant, built
 from plants.reluctance import EFFECTS as RELUCTANCE_EFFECTS
 from plants.tolerances import LENGTHS, SHARES, SHEET_VALVE, Entries, declared_tolerances, deviated, drawn_deviations
 
+from benchmarks.campaign import coil, hard, outlet
+from benchmarks.campaign.bench import Bench, Measured
+from benchmarks.campaign.declared import declared_valve
 from benchmarks.campaign.effects import CATALOGUED, UNCATALOGUED, Effects, are_confusable, log_uniform
 from benchmarks.campaign.limits import Knowledge, detection_limit, effect_distance, size_at, yardstick
 from valve_sim.identification.estimation.static_force import fit_static_force
@@ -35,7 +39,21 @@ NOISES: Final[Mapping[str, Recorder]] = {
 """1 µm white; AR(1) of 0.7; steps of 5 µm; 50 µs on every command's stamp."""
 LABORATORY_NOISES: Final[Mapping[str, float]] = {"white": 1e-6, "quiet": 0.2e-6}
 """m, standard deviation of the white noise beside one imperfection: as everywhere, and as a good sensor has it."""
-WHOLE: Final = {**LABORATORIES, **LOW_RATES}
+MISTAKES: Final[Mapping[str, Laboratory]] = {
+    "nothing": Laboratory(),
+    "five times the noise": Laboratory(position_noise=5e-6),
+    "2 kHz in place of 20 kHz": Laboratory(sample_rate=2e3),
+    "steps of 5 µm": Laboratory(quantisation=5e-6),
+    "a sensor that drifts by 15 µm a stroke": Laboratory(drift=15e-6),
+    "3 µm of hum": Laboratory(hum=3e-6),
+    "a mount that rings, 6 µm at 400 Hz": Laboratory(ringing=6e-6, ringing_frequency=400.0, ringing_damping=0.3),
+    "a tilted sensor, bent by 3 µm": Laboratory(bend=3e-6),
+    "a supply of 0.5 Ω": Laboratory(supply_resistance=0.5),
+    "stamps that scatter by 300 µs": Laboratory(command_jitter=300e-6),
+    "a dry valve, friction varies by 15 %": Laboratory(stroke_variation=0.15),
+}
+"""One mistake each, beside 1 µm of white noise at 20 kHz, as docs/how_to/record_well.md lists them."""
+WHOLE: Final = {**LABORATORIES, **LOW_RATES, **MISTAKES}
 """Laboratories with their own noise, by name."""
 OWN_NOISE: Final = "own"
 """The noise of a whole laboratory, which says itself what it is."""
@@ -83,6 +101,8 @@ LARGEST_WITHIN: Final[Mapping[str, float]] = {
 """What physics can be blamed for where tolerances hide what is smaller: a fault of assembly, half the rest force."""
 
 Numbers = dict[str, float]
+Draw = Callable[[int, np.random.Generator, Recorder], tuple[Effects, Numbers]]
+"""Truth and amplitudes of a seed, from a generator, for recordings by a recorder."""
 
 
 @dataclass(frozen=True)
@@ -120,6 +140,12 @@ class Case:
     def effects(self) -> Effects:
         """What of the truth is an effect, not a wrong value."""
         return {name: values for name, values in self.truth.items() if not name.startswith(WRONG)}
+
+    @property
+    def bench(self) -> Bench | None:
+        """What is diagnosed, where the family says so; else the plant, recorded."""
+        make = FAMILIES[self.family].bench
+        return None if make is None else make(self.seed, next(iter(self.truth), ""))
 
     @property
     def true_values(self) -> Entries:
@@ -234,19 +260,6 @@ class Case:
         )
 
 
-EXACT_SENSOR: Final = {"sensor": {"gain": 0.0, "linearity": 0.0}}
-"""Tolerances of a file that declares everything to be exact."""
-
-
-def declared_valve(
-    entries: Entries, tolerances: Mapping[str, float | list[float]] | None = None, effects: Effects | None = None
-) -> Valve:
-    """The package's valve of a plant's entries and of declared effects, with tolerances; or exact, its sensor too."""
-    values = {name: list(value) if isinstance(value, tuple) else value for name, value in entries.items()}
-    beside = {"tolerances": EXACT_SENSOR if tolerances is None else tolerances, "effects": effects}
-    return Valve.from_mapping({"valve": values} | {key: own for key, own in beside.items() if own}, "the campaign")
-
-
 @dataclass(frozen=True)
 class Family:
     """A kind of case.
@@ -254,21 +267,29 @@ class Family:
     Attributes:
         draw: truth and amplitudes of a seed. kinds: over so many seeds every effect takes its turn.
         per_round: cases for each of the campaign's seeds. in_slice: cases of the slice for CI, the quicker ones.
-        has_tolerances: whether the declared file is off within tolerances, which it tells.
+        has_tolerances: whether the declared file is off within tolerances, which it tells; not where it `is_true`.
         laboratory: the laboratory of a seed and its noise; None where a plain recorder does.
+        bench: what is diagnosed, of a seed and of what is missing, where a case's own plant and recorder do not do.
+        wanted: what the bench's figures may be at most, without their sign; those that have a bound.
     """
 
-    draw: Callable[[int, np.random.Generator, Recorder], tuple[Effects, Numbers]]
+    draw: Draw
     kinds: int
     per_round: int
     in_slice: tuple[int, ...]
     has_tolerances: bool = False
     laboratory: Callable[[int], tuple[str, str]] | None = None
+    is_true: bool = False
+    bench: Callable[[int, str], Bench] | None = None
+    wanted: Measured = field(default_factory=dict)
 
 
 def draw_case(family: str, seed: int) -> Case:
     """The case of a family and a seed."""
     random = np.random.default_rng([zlib.crc32(family.encode()), seed])
+    if FAMILIES[family].bench is not None:
+        truth, amplitudes = FAMILIES[family].draw(seed, random, NOISES["white"])
+        return Case(family, seed, truth, amplitudes, {}, "white", False, (), ())
     kind, turn = seed % FAMILIES[family].kinds, seed // FAMILIES[family].kinds
     # Over eight turns every effect meets every noise, with current and without.
     noise = list(NOISES)[(kind + turn) % len(NOISES)]
@@ -290,6 +311,8 @@ def draw_case(family: str, seed: int) -> Case:
         offsets[:] = offsets[0]
     seeds = random.integers(2**31, size=bags)
     deviations = drawn_deviations(random) if FAMILIES[family].has_tolerances else {}
+    if FAMILIES[family].is_true:
+        deviations, dampings = {}, {}
     if family == "reluctance":
         # The pull is measured at rest.
         deviations = {name: deviations[name] for name in (*SHARES, *LENGTHS)}
@@ -326,6 +349,10 @@ def _whole_laboratory(seed: int) -> tuple[str, str]:
     return list(LABORATORIES)[seed % len(LABORATORIES)], OWN_NOISE
 
 
+def _mistake(seed: int) -> tuple[str, str]:
+    return list(MISTAKES)[seed % len(MISTAKES)], OWN_NOISE
+
+
 def _low_rate(seed: int) -> tuple[str, str]:
     return list(LOW_RATES)[seed // 2 % len(LOW_RATES)], OWN_NOISE
 
@@ -355,8 +382,17 @@ def _catalogued(
     return {name: scale.parameters(sign * size, shape)}, {name: size / limit}
 
 
-def _single(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
-    return _catalogued(list(CATALOGUED)[seed % len(CATALOGUED)], random, recorder)
+def _in_turn(
+    names: Iterable[str], limits: tuple[float, float] = LIMITS, knowledge: Knowledge = Knowledge.EXACT
+) -> Draw:
+    """One effect after the other, one in each seed."""
+    known = tuple(names)
+    return lambda seed, random, recorder: _catalogued(known[seed % len(known)], random, recorder, limits, knowledge)
+
+
+_single: Final = _in_turn(CATALOGUED)
+_single_within: Final = _in_turn(CATALOGUED, knowledge=Knowledge.WITHIN)
+_beside: Final = _in_turn(CATALOGUED, BESIDE_LIMITS, Knowledge.WITHIN)
 
 
 def _at_limits(
@@ -370,10 +406,6 @@ def _at_limits(
     limit = detection_limit(name, shape, recorder, knowledge)
     size = min(AT_LIMITS[turn % len(AT_LIMITS)] * limit, scale.most)
     return {name: scale.parameters(sign * size, shape)}, {name: size / limit}
-
-
-def _at_limits_within(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
-    return _at_limits(seed, random, recorder, Knowledge.WITHIN)
 
 
 def _exact_wrong(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
@@ -434,14 +466,6 @@ def _weak(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[E
     return _uncatalogued(seed, random, recorder, WEAK_SHARE)
 
 
-def _mismatched(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
-    return _catalogued(list(EFFECTS)[seed % len(EFFECTS)], random, recorder, MISMATCHED_LIMITS)
-
-
-def _single_within(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
-    return _catalogued(list(CATALOGUED)[seed % len(CATALOGUED)], random, recorder, knowledge=Knowledge.WITHIN)
-
-
 def _wrong_value(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
     """One scalar that is off by more than its tolerance allows; the true value is what counts as its parameter."""
     names = (*SHARES, *LENGTHS)
@@ -454,26 +478,25 @@ def _wrong_value(seed: int, random: np.random.Generator, recorder: Recorder) -> 
     return {f"{WRONG}{name}": {own: float(np.asarray(true[own]))}}, {f"{WRONG}{name}": size, SEEN: seen}
 
 
-def _mismatched_within(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
-    return _catalogued(list(EFFECTS)[seed % len(EFFECTS)], random, recorder, knowledge=Knowledge.WITHIN)
-
-
-def _reluctance(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
-    return _catalogued(
-        list(RELUCTANCE_EFFECTS)[seed % len(RELUCTANCE_EFFECTS)], random, recorder, knowledge=Knowledge.WITHIN
-    )
-
-
-def _beside(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
-    name = list(CATALOGUED)[seed % len(CATALOGUED)]
-    return _catalogued(name, random, recorder, BESIDE_LIMITS, Knowledge.WITHIN)
-
-
 def _every_other(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
     """Nothing, and in every other seed one effect."""
     return _beside(seed // 2, random, recorder) if seed % 2 else _none(seed, random, recorder)
 
 
+def _one_of(names: Iterable[str]) -> Draw:
+    """One of these names in turn is missing; what it does is the bench's business."""
+    known = tuple(names)
+    return lambda seed, random, recorder: ({known[seed % len(known)]: {}}, {})
+
+
+def _hard(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
+    return {name: dict(values) for name, values in HARD[seed % len(HARD)].effects.items()}, {}
+
+
+HARD: Final = hard.cases()
+_mismatched_within: Final = _in_turn(EFFECTS, knowledge=Knowledge.WITHIN)
+_reluctance: Final = _in_turn(RELUCTANCE_EFFECTS, knowledge=Knowledge.WITHIN)
+_at_limits_within: Final = partial(_at_limits, knowledge=Knowledge.WITHIN)
 FORMED_OTHERWISE: Final = ("mismatched", "mismatched_within", "reluctance")
 """Families whose plant is not of the declared form."""
 EXACT: Final[Mapping[str, Family]] = {
@@ -482,7 +505,7 @@ EXACT: Final[Mapping[str, Family]] = {
     "pair": Family(_pair, 1, 5, (2,)),
     "uncatalogued": Family(_uncatalogued, len(UNCATALOGUED), 5, (5,)),
     "weak": Family(_weak, len(UNCATALOGUED), 5, (2,)),
-    "mismatched": Family(_mismatched, len(EFFECTS), 5, (10,)),
+    "mismatched": Family(_in_turn(EFFECTS, MISMATCHED_LIMITS), len(EFFECTS), 5, (10,)),
     "opening": Family(_single, len(CATALOGUED), 4, (0,)),
     "at_limits": Family(_at_limits, len(CATALOGUED), len(CATALOGUED), ()),
     "exact_wrong": Family(_exact_wrong, len(EXACT_VALUES) + len(CATALOGUED), len(EXACT_VALUES) + len(CATALOGUED), ()),
@@ -503,10 +526,23 @@ RECORDED: Final[Mapping[str, Family]] = {
     "beside": Family(
         _beside, len(CATALOGUED), len(CATALOGUED), (), has_tolerances=True, laboratory=_clear_imperfection
     ),
+    "mistake": Family(_none, len(MISTAKES), len(MISTAKES), (), has_tolerances=True, laboratory=_mistake, is_true=True),
     "low_rate": Family(_every_other, 2 * len(CATALOGUED), 12, (), has_tolerances=True, laboratory=_low_rate),
 }
 """Of valves within their tolerances, recorded with errors; run where they are asked for by `--only`."""
-FAMILIES: Final[Mapping[str, Family]] = {**EXACT, **WITHIN, **RECORDED}
+BENCHES: Final[Mapping[str, Family]] = {
+    "hard": Family(_hard, len(HARD), len(HARD), (), bench=lambda seed, _: HARD[seed % len(HARD)].bench(),
+                   wanted=dict.fromkeys(hard.FAULTS, 0.0)),
+    "coil_none": Family(_none, 1, 3, (), bench=coil.bench, wanted=coil.WANTED),
+    "coil_single": Family(_one_of(coil.EFFECTS), len(coil.EFFECTS), 3, (), bench=coil.bench, wanted=coil.WANTED),
+    "emf_by_position": Family(_one_of(["motional_emf"]), 1, 1, (), bench=partial(coil.bench, by_position=True)),
+    "outlet_none": Family(_none, 1, 2, (), bench=outlet.bench, wanted=outlet.WANTED),
+    "outlet_single": Family(
+        _one_of(outlet.EFFECTS), len(outlet.EFFECTS), 2, (), bench=outlet.bench, wanted=outlet.WANTED
+    ),
+}  # fmt: skip
+"""Families with plants, sensors or judgements of their own; run where they are asked for by `--only`."""
+FAMILIES: Final[Mapping[str, Family]] = {**EXACT, **WITHIN, **RECORDED, **BENCHES}
 """In the order in which they are run and reported; those of `WITHIN` and `RECORDED` with tolerances."""
 
 

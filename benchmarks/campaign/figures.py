@@ -12,7 +12,7 @@ from typing import Final
 
 from scipy.stats import beta
 
-from benchmarks.campaign.cases import SEEN, STRONG
+from benchmarks.campaign.cases import FAMILIES, SEEN, STRONG
 from benchmarks.campaign.running import DECLARED, RECORDED, Cost, Outcome, Timing, is_unnamed, true_names
 
 LABELS: Final = ("unique", "class", "unknown", "insufficient", "none", "wrong", "error")
@@ -341,6 +341,28 @@ def imperfection_table(outcomes: Sequence[Outcome]) -> str:
         shown += f"{sum(map(is_misnamed, found)) or '·':>13}{_mean(held, '.0%'):>10}{len(held):>5}"
         lines.append(f"{name:<30}{len(found):>6}{shown}{_mean(seconds, '.1f'):>8}")
     return "\n".join(lines)
+
+
+def measured_table(outcomes: Sequence[Outcome]) -> str:
+    """Other figures of each family: median, the largest without its sign, and how many are within what is wanted."""
+    rows: dict[tuple[str, str], list[float]] = {}
+    for outcome in outcomes:
+        for name, value in outcome.measured.items():
+            if value is not None:
+                rows.setdefault((_measured_row(outcome), name), []).append(value)
+    lines = [f"{'family':<50}{'figure':<42}{'median':>10}{'largest':>10}{'within':>10}{'of':>5}"]
+    for (family, name), values in rows.items():
+        wanted = FAMILIES[family.partition(",")[0]].wanted.get(name)
+        within = "" if wanted is None else f"{sum(abs(value) <= wanted for value in values)}"
+        middle, largest = statistics.median(values), max(values, key=abs)
+        lines.append(f"{family:<50}{name:<42}{middle:>10.4g}{largest:>10.4g}{within:>10}{len(values):>5}")
+    return "\n".join(lines) if rows else ""
+
+
+def _measured_row(outcome: Outcome) -> str:
+    """Each mistake of a laboratory is a row of its own."""
+    case = outcome.case
+    return f"{case.family}, {case.laboratory}" if case.family == "mistake" else case.family
 
 
 def upper_limit(count: int, of: int) -> float:

@@ -19,16 +19,19 @@ import numpy as np
 from plants.laboratory import drift_over_strokes, true_sizes
 from plants.recording import Recording, write_bag
 
+from benchmarks.campaign.bench import Bench, Measured
 from benchmarks.campaign.cases import FORMED_OTHERWISE, Case, draw_case
+from benchmarks.campaign.declared import as_trace
 from benchmarks.campaign.effects import UNCATALOGUED
 from valve_sim.files.parameter_files import save_valve
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
+from valve_sim.identification.estimation.budget import Budget
 from valve_sim.identification.plants.tolerances import SAME_AS, principal_axes
 from valve_sim.identification.reporting.summary import recording_advice
 from valve_sim.identification.selection.posterior import Evidence, Grounds, Rivals
-from valve_sim.model import Drive, Valve
+from valve_sim.model import Valve
 from valve_sim.model.parameters import POLYNOMIAL_NAMES
-from valve_sim.traces import Signal, Trace
+from valve_sim.traces import Trace
 
 LARGEST_CLASS: Final = 4
 """A class of more names is no answer."""
@@ -98,6 +101,8 @@ class Outcome:
         is_covered: whether the 95 % interval of each parameter holds its truth, for what was named rightly.
         advice: what to record next, as the first answer says.
         error: last line of the traceback, or empty.
+        measured: other figures of the first answer by name: what a bench judges, and of a valve that lacks nothing the
+            friction and the constant force that would have been seen, mN.
     """
 
     case: Case
@@ -106,6 +111,7 @@ class Outcome:
     is_covered: Mapping[str, bool] | None = None
     advice: str = ""
     error: str = ""
+    measured: Mapping[str, float | None] = field(default_factory=dict)
 
     @property
     def is_named(self) -> bool:
@@ -150,7 +156,7 @@ class Outcome:
         noise = document["noise_floor"]
         return cls(
             Case(**document["case"]), answers, math.nan if noise is None else noise, document["is_covered"],
-            document["advice"], document["error"],
+            document["advice"], document["error"], document.get("measured", {}),
         )  # fmt: skip
 
 
@@ -220,15 +226,6 @@ def true_names(case: Case) -> set[str]:
     return {_plain(name) for name in case.truth if name not in UNCATALOGUED}
 
 
-def as_trace(recording: Recording, source: str) -> Trace:
-    """A recording as `read_trace` would give it."""
-    current = None if recording.coil_current is None else Signal(recording.times, recording.coil_current)
-    drive = Drive(recording.command_times, recording.volts)
-    return Trace(
-        source, drive, recording.times, recording.pilot_position, recording.main_position, coil_current=current
-    )
-
-
 def run_case(family: str, seed: int) -> Outcome:
     """Draw, record and diagnose one case; an exception becomes its error."""
     case = draw_case(family, seed)
@@ -240,6 +237,8 @@ def run_case(family: str, seed: int) -> Outcome:
 
 def examine(case: Case) -> tuple[Outcome, tuple[Diagnosis, ...]]:
     """The outcome of a case, and the diagnoses themselves."""
+    if (bench := case.bench) is not None:
+        return _on_bench(case, bench)
     recordings = case.recordings()
     traces = [as_trace(recording, f"bag {number}") for number, recording in enumerate(recordings, 1)]
     noise = _noise(recordings[-1])
@@ -253,7 +252,22 @@ def examine(case: Case) -> tuple[Outcome, tuple[Diagnosis, ...]]:
     covered = None
     if is_right(case, answer):
         covered = _coverage(case, answer, timed.diagnosis) | _sizes_held(case, recordings[0], timed.diagnosis)
-    return Outcome(case, (answer,), noise, covered, recording_advice(timed.diagnosis)), (timed.diagnosis,)
+    advice, limits = recording_advice(timed.diagnosis), _limits(timed.diagnosis)
+    return Outcome(case, (answer,), noise, covered, advice, measured=limits), (timed.diagnosis,)
+
+
+def _on_bench(case: Case, bench: Bench) -> tuple[Outcome, tuple[Diagnosis, ...]]:
+    timed = _timed(bench.training, bench.held_out, bench.declared, bench.budget)
+    measured = {name: _finite(value) for name, value in bench.judge(timed.diagnosis).items()}
+    advice = recording_advice(timed.diagnosis)
+    return Outcome(case, (_answer(timed),), advice=advice, measured=measured), (timed.diagnosis,)
+
+
+def _limits(diagnosis: Diagnosis) -> Measured:
+    """Of a valve that lacks nothing: the dry friction and the constant force that would have been named, mN."""
+    known = diagnosis.detection_limits if diagnosis.verdict.kind == "none" else {}
+    named = {name: known[name]["force"] for name in ("coulomb_friction", "constant_force") if name in known}
+    return {f"{name} that would be named, mN": 1e3 * force for name, force in named.items()}
 
 
 class _Timed(NamedTuple):
@@ -264,9 +278,9 @@ class _Timed(NamedTuple):
     cpu_seconds: float
 
 
-def _timed(traces: Sequence[Trace], holdout: Sequence[Trace], declared: Valve) -> _Timed:
+def _timed(traces: Sequence[Trace], holdout: Sequence[Trace], declared: Valve, budget: Budget | None = None) -> _Timed:
     started, computed = time.perf_counter(), time.process_time()
-    diagnosis = diagnose(traces, holdout, declared)
+    diagnosis = diagnose(traces, holdout, declared, budget=budget)
     return _Timed(diagnosis, time.perf_counter() - started, time.process_time() - computed)
 
 

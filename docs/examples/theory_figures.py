@@ -16,11 +16,14 @@ from matplotlib.figure import Figure
 
 import valve_sim as vs
 from valve_sim.identification.monitoring.cusum import SCORE_LIMIT, threshold_for
+from valve_sim.model.core import layout
+from valve_sim.model.core.live import Live
 from valve_sim.model.drives import step
+from valve_sim.model.simulation import TOLERANCE
 from valve_sim.traces import read_trace
 from valve_sim.traces.synthetic import Sensor, record
 
-BAGS = Path(__file__).parents[2] / "bags"
+BAGS, CONFIG = (Path(__file__).parents[2] / name for name in ("bags", "config"))
 BLUE, ORANGE, GREY = "#0b6fa4", "#d9730d", "#8a8f98"
 
 
@@ -133,6 +136,47 @@ def monitoring() -> Figure:
     return figure
 
 
+def core() -> Figure:
+    """The steps of one opening, and how far each one reaches."""
+    figure = Figure(figsize=(8, 3.8), layout="constrained")
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+    valve, times = vs.default_valve(), np.arange(0.0, 0.0101, 1e-5)
+    above.plot(1e3 * times, 1e6 * vs.simulate(valve, step(9.0), times).pilot_position, color=BLUE)
+    live = Live.at_rest(valve, 0.0, TOLERANCE)
+    live.command(9.0)
+    ends, places = [0.0], [0.0]
+    for time in np.arange(0.0, 0.0101, 2e-6):
+        live.advance(time)
+        if live.reached > ends[-1]:
+            ends.append(live.reached)
+            places.append(live.block[layout.X])
+    above.plot(1e3 * np.array(ends), 1e6 * np.array(places), "o", color=ORANGE, markersize=5, label="ends of steps")
+    below.stairs(np.diff(ends) * 1e3, 1e3 * np.array(ends), color=ORANGE)
+    above.set_ylabel("pilot plunger, µm")
+    above.legend(frameon=False)
+    below.set(xlabel="time since 9 V, ms", ylabel="step, ms", ylim=(0.0, None))
+    print(f"{len(ends) - 1} steps end at", *(f"{1e3 * end:.3f}" for end in ends[1:]), "ms")
+    return figure
+
+
+def gas() -> Figure:
+    """An opening at 35 MPa: the pressures become equal, then the main plunger lifts."""
+    valve, times = vs.load_valve(CONFIG / "hydrogen_35mpa.yaml"), np.arange(0.0, 0.6, 2e-4)
+    run = vs.simulate(valve, step(9.0), times)
+    figure = Figure(figsize=(8, 3.8), layout="constrained")
+    above, below = figure.subplots(2, 1, sharex=True)
+    above.plot(1e3 * times, 1e-6 * run.outlet_pressure, color=BLUE, label="behind the valve")
+    above.axhline(35.0, color=GREY, linestyle=":", label="tank")
+    above.set_ylabel("pressure, MPa")
+    above.legend(frameon=False)
+    below.plot(1e3 * times, 1e6 * run.pilot_position, color=BLUE, label="pilot plunger")
+    below.plot(1e3 * times, 1e6 * run.main_position, "--", color=ORANGE, label="main plunger")
+    below.set(xlabel="time since 9 V, ms", ylabel="position, µm")
+    below.legend(frameon=False)
+    print("gas", *(f"{event.kind.name.lower()} {1e3 * event.time:.1f} ms" for event in run.events), sep="; ")
+    return figure
+
+
 def main(folder: Path) -> None:
     """Draw all."""
     friction = read_trace(BAGS / "friction")
@@ -144,6 +188,8 @@ def main(folder: Path) -> None:
         "tolerances_friction": tolerances(lacking, named),
         "recording_errors": recording(),
         "monitoring_sum": monitoring(),
+        "core_steps": core(),
+        "gas_opening": gas(),
     }.items():
         for axes in figure.axes:
             axes.spines[["top", "right"]].set_visible(False)

@@ -40,6 +40,7 @@ def test_each_result_is_kept_once_and_what_was_not_examined_is_not(tmp_path: Pat
     assert found[0]["t1"] == pytest.approx(5.3e-3) and found[0]["t2"] is None and found[1]["strokes"] == 8
 
 
+@pytest.mark.long
 def test_fleet_writes_an_archive_that_a_monitor_writes_too(tmp_path: Path) -> None:
     make_bag(tmp_path / "day_1", 1.0, VALVE, seed=1)
     archive = Archive(tmp_path / "archive")

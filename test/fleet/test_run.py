@@ -111,6 +111,7 @@ def test_a_row_holds_what_was_found_with_errors_in_si(examined: Path) -> None:
     assert row["spring_rate_stderr"] < 12.8
 
 
+@pytest.mark.long
 def test_a_bag_of_the_current_alone_has_no_errors_in_metres(tmp_path: Path) -> None:
     drive = Drive.of([0.01, 0.04, 0.07, 0.10], [9.0, 0.0, 12.0, 0.0])
     sensor = Sensor(current_noise=1e-3, voltage_noise=5e-3, has_positions=False)

@@ -10,12 +10,15 @@ import numpy as np
 from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
 from plants.recording import Profile, Recorder, record, single_opening, train_profile
 
+from valve_sim.files.parameter_files import default_valve
+from valve_sim.identification.diagnosis.run import Diagnosis, diagnose_plant
 from valve_sim.identification.plants.protocol import Channel, EffectChoice, ForceMap
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import Drive, Valve
 from valve_sim.traces import Trace
 
 FINE = Recorder(quantisation=0.1e-6)
+COARSER = Recorder(quantisation=0.1e-6, sample_rate=5e3)
 TRUTH = {"pilot_damping": 1.4, "main_damping": 3.2}
 """N·s/m, neither of them declared."""
 
@@ -47,6 +50,18 @@ def recorded(
     made = record(plant, train_profile() if profile is None else profile, recorder, seed)
     drive = Drive(made.command_times, made.volts)
     return Trace(f"seed {seed}", drive, made.times, made.pilot_position, made.main_position)
+
+
+FEW = ("coulomb_friction", "stiction", "squeeze_film", "constant_force", "coil_lag", "stroke_offset")
+"""A catalogue that is short, and has friction and what looks like it."""
+
+
+@functools.cache
+def friction_found() -> Diagnosis:
+    """Friction of 0.1 N that no file declares, found in one recording and held against another; made once a process."""
+    valve, friction = default_valve().exact(), {"coulomb_friction": {"force": 0.1}}
+    train, other = (Short([recorded(COARSER, seed=seed, effects=friction)], valve, FEW) for seed in (1, 2))
+    return diagnose_plant(train, other)
 
 
 def one_opening(seed: int = 1, **parameters: float) -> Trace:

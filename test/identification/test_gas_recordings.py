@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from benchmarks.gas_recordings import drawn
+from benchmarks.campaign.outlet import drawn
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.selection.score_test import log_gains

@@ -131,6 +131,7 @@ def predicted_rmse(plant: ValvePlant, machine: Mapping[str, float]) -> float:
     return 1e-6 * float(np.sqrt(np.mean(np.square(left(found.x)[: len(data)]))))
 
 
+@pytest.mark.long
 def test_a_held_out_error_is_that_of_a_prediction() -> None:
     """Fault 1."""
     known = Tolerances({"spring_preload": 0.08, "coil_time_constant": 5e-5}, None, {})
@@ -222,6 +223,7 @@ def test_a_wrong_declared_value_gets_no_confident_other_name() -> None:
     assert not is_confidently_wrong(found, "valve.spring_preload")
 
 
+@pytest.mark.long
 def test_less_budget_gives_no_more_certainty() -> None:
     """Fault 31."""
     effects = {"coulomb_friction": {"force": 0.03}, "squeeze_film": {"coefficient": 3.0, "film_thickness": 3e-5}}

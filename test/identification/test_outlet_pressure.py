@@ -171,6 +171,7 @@ def test_pressure_beside_positions_is_judged_by_itself() -> None:
     assert [replay.passed for replay in wrong.replays] == [False, False]
 
 
+@pytest.mark.long
 def test_measured_pressures_of_tank_and_demand_take_the_place_of_the_declared_ones() -> None:
     declared = gas_valve(demand_orifice_diameter=1e-4)
     plant = independent(of_gas(declared, inlet_pressure=33e6, demand_pressure=20e6))

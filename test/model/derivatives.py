@@ -45,7 +45,9 @@ class Case(NamedTuple):
             return self._replace(drive=Drive(times, volts + by * (np.arange(len(times)) == int(which))))
         if kind == "gas":
             assert valve.gas is not None
-            return self._replace(valve=replace(valve, gas=valve.gas._replace(**{which: getattr(valve.gas, which) + by})))
+            return self._replace(
+                valve=replace(valve, gas=valve.gas._replace(**{which: getattr(valve.gas, which) + by}))
+            )
         if not which:
             return self._replace(valve=valve.with_values(**{name: valve.declared()[name] + by}))
         changed = {**valve.effects[kind], which: valve.effects[kind][which] + by}

@@ -100,16 +100,3 @@ def test_a_stepper_of_any_valve_shows_finite_readings(
         except SimulationError as error:
             assert "\n" not in str(error)
             return
-
-
-@pytest.mark.parametrize("delay", [1e-4, 1.37e-3, 9e-3])
-def test_a_stepper_shows_a_late_sensor_as_a_whole_run_does(delay: float) -> None:
-    valve = Valve(CALIBRATED.parameters, {"sensor_delay": {"delay": delay}})
-    times = np.arange(1, 60) * 1e-3
-    whole = simulate(valve, Drive.of([1e-3, 20.5e-3, 21e-3], [9.0, 0.0, 12.0]), times, start_time=0.0)
-    stepper, waiting = Stepper(valve), [(1e-3, 9.0), (20.5e-3, 0.0), (21e-3, 12.0)]
-    for time, pilot, main in zip(times.tolist(), whole.pilot_position, whole.main_position, strict=True):
-        while waiting and waiting[0][0] <= time:
-            stepper.command(*waiting.pop(0))
-        reading = stepper.advance(time)
-        assert (reading.pilot_position, reading.main_position) == pytest.approx((pilot, main), abs=1e-12)

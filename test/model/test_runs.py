@@ -200,14 +200,6 @@ def test_a_valve_opens_where_the_reference_voltage_held_for_ever_lifts_it(valve:
     assert valve.can_open() is opens
 
 
-@pytest.mark.parametrize("threads", [None, 1, 3])
-def test_many_valves_are_shown_as_each_alone(threads: int | None) -> None:
-    valves = [valve_with(sensor_delay={"delay": 1e-3 * number}) for number in range(5)]
-    many = simulate_many(valves, STROKE, TIMES, threads=threads)
-    for valve, shown in zip(valves, many, strict=True):
-        np.testing.assert_allclose(shown, simulate(valve, STROKE, TIMES).pilot_position, rtol=0.0, atol=1e-12)
-
-
 def test_of_many_valves_the_one_that_fails_is_named() -> None:
     valves = [CALIBRATED.with_values(pilot_mass=1e-300) if number == 4 else CALIBRATED for number in range(7)]
     with pytest.raises(SimulationError, match=r"^parameter set 4: the simulation stopped early"):

@@ -6,14 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, assume, given, settings
-from hypothesis import strategies as st
 
-from model.derivatives import ACCURACY, BY_QUOTIENT, PULSE, Case, errors_of, random_case
+from model.derivatives import ACCURACY, BY_QUOTIENT, PULSE, Case, errors_of
 from model.random_valves import RANGES
-from valve_sim.model import CATALOGUE, Drive, Effect, EventKind, Parameter, Valve
-from valve_sim.model.core.symbols import Motion, Own
-from valve_sim.model.core.tracer import Node, tanh
+from valve_sim.model import Drive, EventKind, Valve
 
 
 def check(case: Case, names: list[str]) -> None:
@@ -67,28 +63,3 @@ def test_every_effect_and_every_declared_value(name: str) -> None:
         replace(Valve().with_values(a0=3.0, coil_time_constant=8e-4, seat_load=0.2), effects={name: values}), PULSE
     )
     check(case, [found for found in case.names() if found != "pickup_velocity_ratio" or name != "pickup_impact"])
-
-
-@given(seed=st.integers(0, 10_000))
-@settings(max_examples=12, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
-def test_any_valve(seed: int) -> None:
-    found = random_case(seed)
-    assume(found is not None)
-    assert found is not None
-    check(*found)
-
-
-def leaning(m: Motion, own: Own) -> Node:
-    """A user's force, which fades with speed and grows with current."""
-    return -own.force * tanh(m.u * m.x / own.width) / (1.0 + (m.v / 0.1) ** 2)
-
-
-def test_a_users_force_needs_no_derivative() -> None:
-    force, width = Parameter("force", "N", "of a test"), Parameter("width", "m", "of a test")
-    CATALOGUE.register(Effect("leaning", "of a test", (force, width), "a test", force=leaning))
-    try:
-        valve = Valve().with_values(a0=3.0, coil_time_constant=8e-4, seat_load=0.2)
-        case = Case(replace(valve, effects={"leaning": {"force": 0.3, "width": 2e-4}}), PULSE)
-        check(case, case.names())
-    finally:
-        CATALOGUE.unregister("leaning")

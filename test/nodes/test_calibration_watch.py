@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from valve_sim.files.parameter_files import default_valve, save_valve
-from valve_sim.model import ValveError
+from valve_sim.model import Valve, ValveError
 from valve_sim.nodes.calibration_watch import CalibrationWatch
 from valve_sim.nodes.diagnostics import Level
 from valve_sim.records.calibration import Record, Sensor, journal_path, load_changes, save_record, sign
@@ -33,47 +33,79 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "calibration.json"
 
 
+def watching(path: Path, valve: Valve, now: datetime = NOW) -> tuple[CalibrationWatch, list[str]]:
+    """What a node that declares a valve watches, and what it says, which grows."""
+    said: list[str] = []
+    watch = CalibrationWatch(path, "/monitor", said.append)
+    watch.note(valve, now)
+    return watch, said
+
+
 def test_a_calibration_that_holds_says_until_when(path: Path) -> None:
-    watch = CalibrationWatch(path, default_valve(), "/monitor", NOW)
+    watch, said = watching(path, default_valve())
     status = watch.status(NOW)
     assert (status.level, status.message) == (Level.OK, "valid until 2027-11-26")
     assert (status.values["serial number"], status.values["changes since"]) == ("SN-7", "0")
-    assert watch.lines == [] and watch.new_remarks(NOW) == []
+    assert said == []
 
 
 def test_expiry_is_a_warning_and_said_once(path: Path) -> None:
-    watch, late = CalibrationWatch(path, default_valve(), "/monitor", NOW), NOW + timedelta(days=366)
+    (watch, said), late = watching(path, default_valve()), NOW + timedelta(days=366)
     status = watch.status(late)
     assert status.level is Level.WARN
     assert "the calibration of SN-7 expired on 2027-11-26; calibrate it anew" in status.message
-    assert watch.new_remarks(late) == ["the calibration of SN-7 expired on 2027-11-26; calibrate it anew"]
-    assert watch.new_remarks(late) == []
+    watch.status(late)
+    assert said == ["the calibration of SN-7 expired on 2027-11-26; calibrate it anew"]
     early = NOW - timedelta(days=1)
-    assert watch.new_remarks(early) and watch.new_remarks(early + timedelta(seconds=1)) == []
+    watch.status(early)
+    watch.status(early + timedelta(seconds=1))
+    assert len(said) == 2
 
 
 def test_what_is_declared_otherwise_is_in_the_journal_once(path: Path) -> None:
-    watch = CalibrationWatch(path, OTHER, "/monitor", NOW)
-    assert watch.lines == ["changed since the calibration: valve.spring_rate 428.0 → 431.0"]
-    again = CalibrationWatch(path, OTHER, "/monitor", NOW)
-    assert again.lines == [] and again.status(NOW).values["changes since"] == "1"
+    _, said = watching(path, OTHER)
+    assert said == ["changed since the calibration: valve.spring_rate 428.0 → 431.0"]
+    again, said = watching(path, OTHER)
+    assert said == [] and again.status(NOW).values["changes since"] == "1"
     (change,) = load_changes(path)
     assert change.by.startswith("/monitor (")
 
 
-def test_a_journal_that_cannot_be_written_is_a_warning(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_change_while_the_node_runs_is_in_the_journal_with_what_that_node_had_before(path: Path) -> None:
+    watch, _ = watching(path, OTHER)
+    another = CalibrationWatch(path, "/valve", lambda words: None)
+    another.note(default_valve(), NOW)
+    for spring_rate in (435.0, 435.0, 440.0):
+        parameters = OTHER.parameters._replace(spring_rate=spring_rate)
+        watch.note(replace(OTHER, parameters=parameters), NOW)
+    changes = [(change.by.split()[0], change.before, change.after) for change in load_changes(path)]
+    assert changes == [
+        ("/monitor", 428.0, 431.0),
+        ("/valve", 431.0, 428.0),
+        ("/monitor", 431.0, 435.0),
+        ("/monitor", 435.0, 440.0),
+    ]
+    assert watch.status(NOW).values["changes since"] == "4"
+
+
+def test_a_journal_that_cannot_be_written_is_a_warning_until_it_can_and_nothing_is_lost(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with monkeypatch.context() as patch:
         patch.setattr("os.fsync", lambda number: (_ for _ in ()).throw(OSError(28, "No space left on device")))
-        watch = CalibrationWatch(path, OTHER, "/monitor", NOW)
-    assert "No space left on device" in watch.lines[0]
+        watch, said = watching(path, OTHER)
+    assert "No space left on device" in said[0]
     status = watch.status(NOW)
     assert status.level is Level.WARN and "changes are not in the journal" in status.message
+    watch.note(OTHER, NOW)
+    assert watch.status(NOW).level is Level.OK
+    assert [(change.before, change.after) for change in load_changes(path)] == [(428.0, 431.0)]
 
 
 @pytest.mark.parametrize("place", ["record", "journal"])
 def test_what_was_changed_by_hand_is_refused(path: Path, place: str) -> None:
-    CalibrationWatch(path, OTHER, "/monitor", NOW)
+    watching(path, OTHER)
     file, old, new = {"record": (path, "Ada", "Bob"), "journal": (journal_path(path), "431.0", "430.0")}[place]
     file.write_text(file.read_text().replace(old, new))
     with pytest.raises(ValveError, match="was changed"):
-        CalibrationWatch(path, default_valve(), "/monitor", NOW)
+        watching(path, default_valve())

@@ -7,19 +7,19 @@ from typing import Any
 
 import pytest
 
+from valve_sim.files.parameter_files import default_valve
 from valve_sim.model import Phase
 from valve_sim.nodes.diagnostics import (
-    CommandFacts,
     Level,
     RejectionCount,
     Reminder,
     Status,
-    ValveFacts,
     command_status,
     pressure_status,
     timing_status,
     valve_status,
 )
+from valve_sim.nodes.live_valve import LiveValve
 from valve_sim.nodes.realtime import Timing
 
 GOOD = Timing(999.0, 1e-4, 2, 0, 0, 999, 2)
@@ -53,41 +53,46 @@ def test_late_samples_are_a_warning_that_says_how_late(late: Timing) -> None:
     assert f"{late.lateness * 1e3:.1f} ms" in status.message
 
 
-def status_of(
-    count: RejectionCount, now: int, last: int | None, volts: float, *, timed_out: bool = False, **more: Any
-) -> Status:
+def live_valve(**state: Any) -> LiveValve:
+    """A valve that has come to this state."""
+    live = LiveValve(default_valve())
+    for name, value in state.items():
+        setattr(live, name, value)
+    return live
+
+
+def status_of(count: RejectionCount, now: int, last: int | None, unheard: int = 0, **state: Any) -> Status:
     """What /diagnostics has at a time, ns, when the last command came at another."""
-    age = math.nan if last is None else 1e-9 * (now - last)
-    return command_status(CommandFacts(age, volts, count.rejections(), timed_out, **more))
+    return command_status(live_valve(last_command=last, **state), now, count.rejections(), unheard)
 
 
 def test_rejected_commands_are_a_warning_until_a_good_one_comes_and_counted_for_ever() -> None:
     count = RejectionCount()
-    assert status_of(count, 0, None, 0.0).message == "none yet"
+    assert status_of(count, 0, None).message == "none yet"
     count.reject(math.nan)
     count.reject(99.0)
-    status = status_of(count, 3_000_000_000, 1_000_000_000, 9.0)
+    status = status_of(count, 3_000_000_000, 1_000_000_000)
     assert status.level is Level.WARN
     assert status.message == "2 rejected, the last of 99 V; the last good one stays"
     assert status.values["rejected"] == "2"
     assert status.values["age (s)"] == "2.000"
-    status = status_of(count, 4_000_000_000, 1_000_000_000, 9.0)
+    status = status_of(count, 4_000_000_000, 1_000_000_000)
     assert (status.level, status.message) == (
         Level.WARN,
         "the last, of 99 V, was rejected; the last good one stays",
     )
     count.accept()
-    status = status_of(count, 5_000_000_000, 5_000_000_000, 9.0)
+    status = status_of(count, 5_000_000_000, 5_000_000_000)
     assert (status.level, status.message, status.values["rejected"]) == (Level.OK, "accepted", "2")
 
 
 def test_a_command_that_timed_out_is_a_warning() -> None:
-    status = status_of(RejectionCount(), 9, 1, 0.0, timed_out=True)
+    status = status_of(RejectionCount(), 9, 1, timed_out=True)
     assert (status.level, status.values["timed out"]) == (Level.WARN, "true")
 
 
 def test_a_command_that_max_voltage_has_ended_is_a_warning() -> None:
-    status = status_of(RejectionCount(), 9, None, 0.0, withdrawn=9.0)
+    status = status_of(RejectionCount(), 9, None, withdrawn=9.0)
     assert status.level is Level.WARN
     assert status.message == "max_voltage was set below the last, of 9 V: coil de-energised"
 
@@ -95,18 +100,18 @@ def test_a_command_that_max_voltage_has_ended_is_a_warning() -> None:
 def test_a_publisher_that_cannot_be_heard_is_a_warning() -> None:
     words = "publishers that offer an incompatible QoS and cannot be heard: 1; publish reliable"
     for last_command in (None, 1):
-        status = status_of(RejectionCount(), 9, last_command, 0.0, incompatible_publishers=1)
+        status = status_of(RejectionCount(), 9, last_command, unheard=1)
         assert (status.level, status.message) == (Level.WARN, words)
     status = pressure_status("inlet pressure", 70e6, RejectionCount().rejections(), 1)
     assert (status.level, status.message) == (Level.WARN, words)
 
 
 def test_the_valve_says_where_it_is_and_why_it_was_put_back() -> None:
-    status = valve_status(ValveFacts(Phase.GAP_HOLD, 3, 0, ""))
+    status = valve_status(live_valve(phase=Phase.GAP_HOLD, strokes=3), "", 0)
     assert (status.level, status.message) == (Level.OK, "gap_hold")
     assert (status.values["phase"], status.values["strokes"]) == ("gap_hold", "3")
-    assert valve_status(ValveFacts(Phase.CLOSED, 3, 1, "too stiff")).level is Level.ERROR
-    status = valve_status(ValveFacts(Phase.CLOSED, 3, 0, "", duplicates=1))
+    assert valve_status(live_valve(failures=1), "too stiff", 0).level is Level.ERROR
+    status = valve_status(live_valve(), "", 1)
     assert (status.level, status.values["other nodes of this name"]) == (Level.WARN, "1")
 
 

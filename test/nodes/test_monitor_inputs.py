@@ -107,7 +107,7 @@ class Heard:
 
     def sample(self, topic: str = "joint_states") -> None:
         self.put_sample(topic)
-        assert self.inputs.deliver()
+        assert self.inputs.inbox.deliver()
 
 
 def test_a_sample_is_taken_after_all_pressures_that_were_heard_before_it() -> None:
@@ -156,13 +156,13 @@ def test_a_message_that_is_no_pressure_is_rejected() -> None:
     heard = Heard("joint_states")
     queue = heard.node.queues["/valve/outlet_pressure"]
     queue.callback(b"\x00\x01\x00\x00", {})
-    assert heard.inputs.deliver()
+    assert heard.inputs.inbox.deliver()
     assert [taken[0] for taken in heard.taken] == ["rejected"]
 
 
 def test_without_an_executor_all_samples_are_taken_after_what_was_heard_before_them() -> None:
     heard = Heard("joint_states")
-    assert not heard.inputs.deliver()
+    assert not heard.inputs.inbox.deliver()
     heard.put("outlet_pressure", 2e6, 1)
     heard.node.queues["/valve/coil_voltage"].put(Float64(data=9.0))
     for stamp in (5, 6, 7):
@@ -172,7 +172,7 @@ def test_without_an_executor_all_samples_are_taken_after_what_was_heard_before_t
         coil.header.stamp.nanosec = stamp
         heard.node.queues["/valve/coil"].put(coil)
     heard.node.queues["/valve/coil_current"].put(Float64(data=0.25))
-    assert heard.inputs.deliver()
+    assert heard.inputs.inbox.deliver()
     unstamped = ("coil", 77, 0.25)
     assert [taken[:3] for taken in heard.taken if taken[:3] != unstamped] == [
         ("outlet", 1, 2e6),
@@ -182,6 +182,6 @@ def test_without_an_executor_all_samples_are_taken_after_what_was_heard_before_t
     ]
     assert "/valve/coil_current" not in heard.node.queues, "the stamped one is heard in its place"
     heard.put_sample(stamp=10)
-    assert heard.inputs.deliver()
+    assert heard.inputs.inbox.deliver()
     assert heard.taken[-1][:2] == ("position", 10)
-    assert not heard.inputs.deliver()
+    assert not heard.inputs.inbox.deliver()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -211,3 +212,22 @@ def test_a_publisher_that_cannot_be_heard_is_counted(probe: Probe, hearing: Call
     assert source.incompatible_publishers == 0
     probe.talker("volts", Float64, QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT))
     assert probe.until(lambda: source.incompatible_publishers == 1)
+
+
+def test_a_publisher_of_another_type_is_warned_of_once(
+    probe: Probe, hearing: Callable[..., Hearing], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    node, said = hearing(), list[str]()
+    monkeypatch.setattr(node.node, "get_logger", lambda: SimpleNamespace(warning=said.append))
+    node.inbox.subscribe(Float64, "~/volts", node.take, RELIABLE)
+    elsewhere = rclpy.Context()  # the middleware lets a process have a topic of one type only
+    rclpy.init(context=elsewhere)
+    another = rclpy.create_node("another", context=elsewhere)
+    another.create_publisher(UInt8, "/heard/volts", 10)
+    assert probe.until(lambda: said)
+    looks = node.clock.elapsed() + 2.5
+    assert probe.until(lambda: node.clock.elapsed() > looks), "two more looks"
+    words = "/heard/volts: a publisher sends std_msgs/msg/UInt8 and cannot be heard; publish std_msgs/msg/Float64"
+    assert said == [words]
+    another.destroy_node()
+    rclpy.shutdown(context=elsewhere)

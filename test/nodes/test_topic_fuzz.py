@@ -1,4 +1,4 @@
-"""A slice of `benchmarks.topic_fuzz`: nodes under fire live, write no traceback and do their work again."""
+"""A slice of `benchmarks.fuzz.topics`: nodes under fire live, write no traceback and do their work again."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imp
 
 import rclpy  # noqa: E402
 
-from benchmarks.topic_fuzz import fuzz  # noqa: E402
+from benchmarks.fuzz.topics import fuzz  # noqa: E402
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -8,6 +8,7 @@ import signal
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +19,12 @@ from installed_effect import MAGNET_DRAG, Installed
 from valve_sim.files.parameter_files import load_valve
 from valve_sim.files.resources import config_path
 from valve_sim.model import published_times, simulate
+from valve_sim.records.calibration import load_changes, save_record
 from valve_sim.traces import BagRecorder, events_from_sensors, read_trace
 
 from .dumps import TOLERATED, dump, plain_values
 from .ros_process import NodeProcess, Probe, running
+from .test_calibration_watch import signed
 
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
@@ -239,6 +242,25 @@ def test_parameters_are_validated_and_applied_without_a_jump(rested: Probe) -> N
     assert rested.parameters()["valve.pilot_gap"] == 0.26e-3
     back = rested.set_parameters(valve__spring_rate=428.0, effects__stiction__force=0.0, publish_rate=1000.0)
     assert [result.successful for result in back] == [True] * 3
+
+
+def test_each_change_of_a_calibrated_valve_is_in_the_journal(tmp_path: Path) -> None:
+    record = tmp_path / "calibration.json"
+    save_record(record, signed(tmp_path, datetime.now(timezone.utc)))
+    probe = Probe("/calibrated")
+    heard = probe.hear("/diagnostics", DiagnosticArray)
+    given = ["--ros-args", "-r", "__node:=calibrated", "-p", f"calibration:={record}"]
+    with running(tmp_path, given) as node:
+        results = probe.set_parameters(valve__spring_rate=431.0, publish_rate=500.0)
+        assert [result.successful for result in results] == [True] * 2
+        assert not probe.set_parameters(valve__spring_rate=-1.0)[0].successful
+        (change,) = load_changes(record)
+        assert (change.parameter, change.before, change.after) == ("valve.spring_rate", 428.0, 431.0)
+        assert change.by.startswith("/calibrated (")
+        assert not probe.set_parameters(calibration="")[0].successful
+        assert probe.until(lambda: any(one.name == "calibrated: calibration" for told in heard for one in told.status))
+        assert "changed since the calibration: valve.spring_rate 428.0 → 431.0" in node.output
+    probe.close()
 
 
 def test_a_coil_without_commands_is_de_energised(valve: NodeProcess, rested: Probe) -> None:

@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 
 from . import declared, mismatched, reluctance
 from .common import CATALOGUE, FloatArray, Plant, PlantRun
-from .declared import CAMPAIGN_VALVE, DeclaredPlant
+from .declared import DeclaredPlant
 from .mismatched import MismatchedPlant
 from .recording import Recorder, holdout_profile, record, single_opening, train_bags, train_profile, write_bag
 from .reluctance import Build, ReluctancePlant
@@ -267,10 +267,19 @@ def test_halving_the_step_of_the_declared_plant_changes_nothing() -> None:
     np.testing.assert_allclose(coarse.pilot_position, fine.pilot_position, rtol=0.0, atol=1e-10)
 
 
-@pytest.mark.parametrize("name", [*CATALOGUE, *declared.UNCATALOGUED])
-def test_every_effect_shows_in_the_declared_plant(name: str) -> None:
-    plain, changed = one_stroke(DeclaredPlant()), one_stroke(DeclaredPlant(chosen(name)))
-    assert np.abs(plain.pilot_position - changed.pilot_position).max() > 0.5e-6
+PLANTS: dict[type[Plant], tuple[str, ...]] = {
+    DeclaredPlant: (*CATALOGUE, *declared.UNCATALOGUED),
+    MismatchedPlant: tuple(mismatched.EFFECTS),
+    ReluctancePlant: tuple(reluctance.EFFECTS),
+}
+"""Each with the effects that it has."""
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+def test_every_effect_of_a_plant_shows(plant: Callable[..., Plant]) -> None:
+    plain = one_stroke(plant()).pilot_position
+    moved = {name: np.abs(one_stroke(plant(chosen(name))).pilot_position - plain).max() for name in PLANTS[plant]}  # type: ignore[index]
+    assert {name: size for name, size in moved.items() if size <= 0.5e-6} == {}
 
 
 def test_friction_holds_the_pilot_in_mid_gap_until_the_pull_exceeds_it() -> None:
@@ -401,6 +410,7 @@ def test_a_plant_without_deviations_is_as_declared() -> None:
     assert deviated(SHEET_VALVE, {}) == SHEET_VALVE
 
 
+@pytest.mark.long
 def test_declared_tolerances_are_those_of_what_is_drawn() -> None:
     random = np.random.default_rng(1)
     drawn = [deviated(SHEET_VALVE, drawn_deviations(random)) for _ in range(4000)]
@@ -439,6 +449,7 @@ def test_every_deviation_shows_and_no_other_name_is_taken(name: str) -> None:
 # --- plant (b) -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_mismatched_plant_opens_like_the_paper() -> None:
     run = one_stroke(MismatchedPlant())
     assert run.first("picked_up") == pytest.approx(5.3e-3, abs=2e-6)
@@ -471,19 +482,16 @@ def test_the_pull_is_stronger_on_the_way_back() -> None:
 
 
 @pytest.mark.parametrize("effects", [{}, chosen("stiction", "squeeze_film", "stop_bounce", "pressure_force")])
-def test_halving_the_step_of_the_mismatched_plant_changes_nothing(effects: Effects) -> None:
+@pytest.mark.parametrize("plant", [MismatchedPlant, ReluctancePlant])
+def test_halving_the_step_of_a_plant_of_another_form_changes_nothing(
+    plant: Callable[..., Plant], effects: Effects
+) -> None:
     profile, times = holdout_profile(), np.arange(6600) / 20e3
-    coarse = MismatchedPlant(effects).simulate(profile.times, profile.volts, times)
-    fine = MismatchedPlant(effects, step=0.5e-6).simulate(profile.times, profile.volts, times)
+    coarse = plant(effects).simulate(profile.times, profile.volts, times)
+    fine = plant(effects, step=0.5e-6).simulate(profile.times, profile.volts, times)
     np.testing.assert_allclose(coarse.pilot_position, fine.pilot_position, rtol=0.0, atol=5e-9)
     for kind in ("picked_up", "opened", "main_seated", "seated"):
         assert coarse.first(kind) == pytest.approx(fine.first(kind), abs=1e-8)
-
-
-@pytest.mark.parametrize("name", list(mismatched.EFFECTS))
-def test_every_effect_shows_in_the_mismatched_plant(name: str) -> None:
-    plain, changed = one_stroke(MismatchedPlant()), one_stroke(MismatchedPlant(chosen(name)))
-    assert np.abs(plain.pilot_position - changed.pilot_position).max() > 0.5e-6
 
 
 # --- plant (c) -------------------------------------------------------------------------------------------------------
@@ -492,6 +500,7 @@ WITHOUT_FRICTION = Build(friction=0.0, breakaway=0.0, pressure=0.0)
 IDEAL = WITHOUT_FRICTION._replace(eddy_time_constant=0.0, sensor_cutoff=0.0)
 
 
+@pytest.mark.long
 def test_the_reluctance_plant_agrees_with_scipy_up_to_the_pick_up() -> None:
     build = IDEAL
 
@@ -575,21 +584,6 @@ def test_the_pressure_of_the_reluctance_plant_leaks_away_and_returns() -> None:
     assert again > much_later + 5e-6
 
 
-@pytest.mark.parametrize("effects", [{}, chosen("stiction", "squeeze_film", "stop_bounce", "pressure_force")])
-def test_halving_the_step_of_the_reluctance_plant_changes_nothing(effects: Effects) -> None:
-    profile, times = holdout_profile(), np.arange(6600) / 20e3
-    coarse = ReluctancePlant(effects).simulate(profile.times, profile.volts, times)
-    fine = ReluctancePlant(effects, step=0.5e-6).simulate(profile.times, profile.volts, times)
-    np.testing.assert_allclose(coarse.pilot_position, fine.pilot_position, rtol=0.0, atol=1e-9)
-    assert [event.kind for event in coarse.events] == [event.kind for event in fine.events]
-
-
-@pytest.mark.parametrize("name", list(reluctance.EFFECTS))
-def test_every_effect_shows_in_the_reluctance_plant(name: str) -> None:
-    plain, changed = one_stroke(ReluctancePlant()), one_stroke(ReluctancePlant(chosen(name)))
-    assert np.abs(plain.pilot_position - changed.pilot_position).max() > 0.5e-6
-
-
 def test_the_data_sheet_is_of_the_reluctance_plant_and_its_table_of_its_pull() -> None:
     build = reluctance.built(reluctance.DATA_SHEET)
     np.testing.assert_allclose(build, Build(), rtol=1e-12)
@@ -671,7 +665,3 @@ def test_the_bag_holds_what_was_measured(tmp_path: Path) -> None:
     assert header.sec * 10**9 + header.nanosec == states[7][0] == start + 7 * 50_000
     currents = np.array([current.data for _, current in read["/tank_1/valve/measured/coil_current"]])
     np.testing.assert_array_equal(currents, made.coil_current)
-
-
-def test_campaign_valve_is_the_published_one() -> None:
-    assert CAMPAIGN_VALVE["attraction_polynomial"] == (3.0336, *LOW_POLYNOMIAL[1:])

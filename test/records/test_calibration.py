@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import threading
 from dataclasses import replace
 from datetime import datetime, timezone
 from html.parser import HTMLParser
@@ -149,6 +150,23 @@ def test_what_is_declared_otherwise_later_is_noted_once(files: tuple[Path, Path]
     back = note_changes(path, declared_numbers(valve), "monitor", NOW)
     assert {change.parameter: (change.after, change.before) for change in back} == found
     assert {(change.by, change.at) for change in back} == {("monitor", "2026-11-26T12:00:00Z")}
+
+
+def test_those_who_append_at_once_lose_nothing_of_each_other(files: tuple[Path, Path], tmp_path: Path) -> None:
+    path = tmp_path / "calibration.json"
+    save_record(path, signed(files))
+    change = Change("2026-12-01T08:00:00Z", "Bob", "valve.spring_rate", 428.0, 431.0)
+
+    def append() -> None:
+        for _ in range(10):
+            append_changes(path, [change])
+
+    threads = [threading.Thread(target=append) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert load_changes(path) == (change,) * 40
 
 
 def test_a_clock_before_the_signature_is_said(files: tuple[Path, Path]) -> None:

@@ -192,6 +192,7 @@ def test_anonymous_clients_read_where_they_may_and_change_nothing(tmp_path: Path
         served.kill()
 
 
+@pytest.mark.long
 def test_a_server_that_is_killed_comes_back_with_all_that_was_seen(tmp_path: Path) -> None:
     folder, port = tmp_path / "server", free_port()
     identity = Identity(tmp_path / "client").trusted_by(folder)

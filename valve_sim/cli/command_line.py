@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import itertools
 import os
 import re
 import sys
@@ -69,11 +70,15 @@ class CommandLine(click.Group):
 
 
 def _with_examples(text: str | None) -> str | None:
-    """Help with click's mark against rewrapping before each paragraph that has indented lines."""
+    """Help whose prose click wraps to the terminal, and whose indented lines it leaves as they are."""
     if text is None:
         return None
-    paragraphs = inspect.cleandoc(text).split("\n\n")
-    return "\n\n".join(f"\b\n{words}" if "\n  " in f"\n{words}" else words for words in paragraphs)
+    parts: list[str] = []
+    for paragraph in inspect.cleandoc(text).split("\n\n"):
+        for is_example, lines in itertools.groupby(paragraph.splitlines(), key=lambda line: line.startswith("  ")):
+            words = "\n".join(lines)
+            parts.append(f"\b\n{words}" if is_example else words)
+    return "\n\n".join(parts)
 
 
 def _as_typed(text: str) -> str:

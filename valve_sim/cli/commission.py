@@ -18,7 +18,9 @@ from valve_sim.files.ledger import plan_files
 @click.option("--params", metavar="FILE", type=FILE, required=True, help="The parameter file that is signed off.")
 @click.option("--serial", metavar="NUMBER", required=True, help="Serial number of the valve.")
 @click.option("--by", metavar="NAME", required=True, help="Who signs.")
-@click.option("--sensors", metavar="FILE", type=FILE, required=True, help="The sensors with their certificates: below.")
+@click.option(
+    "--sensors", metavar="FILE", type=FILE, required=True, help="The sensors with their certificates: see above."
+)
 @click.option("--days", type=click.IntRange(1, 36500), default=365, help="How long it is valid, days.")
 @click.option("--note", metavar="TEXT", default="", help="A note for the record.")
 @folder_option
@@ -35,17 +37,21 @@ def commission(
     output: Path,
     as_json: bool,
 ) -> None:
-    """Sign off a calibration.
+    r"""Sign off a calibration.
 
-    REPORT is the identify.json or the report.json from which the figures are, with their intervals. Writes
+    REPORT is the identify.json or the report.json that the figures are from, with their intervals. Writes
     DIR/calibration.json, the record, and DIR/calibration.html, the page to be printed and signed:
+      valve-sim identify bags/eight_strokes.mcap --output results
+      echo '- {name: laser, serial_number: L-12, certificate: DKD 1234,
+          expires: 2099-05-01}' > sensors.yaml
+      valve-sim commission results/identify.json --by Lovelace --serial SN-7 \
+          --params results/identified.yaml --sensors sensors.yaml \
+          --output results
 
-      valve-sim commission identify.json --params my.yaml --serial SN-7 --by Lovelace --sensors s.yaml --output results
+    The sensors are a list in YAML; the record is valid no longer than the certificate that expires first. It holds the
+    digests of the parameter file, of the report and of itself, so that a change by hand shows.
 
-    The sensors are a list in YAML; the record is valid no longer than the first of their certificates:
-      - {name: laser, serial_number: L-12, certificate: DKD 1234, expires: 2027-05-01}
-
-    The record has the digests of the parameter file and of the report, and its own: a change by hand shows.
+    Read on: docs/how_to/calibration.md
     """
     from valve_sim.files.parameter_files import load_valve
     from valve_sim.model import CATALOGUE, DECLARED

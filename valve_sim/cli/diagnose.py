@@ -60,19 +60,25 @@ def diagnose(
     output: Path,
     as_json: bool,
 ) -> None:
-    """Find the effect that the model lacks.
+    r"""Find the effect that the model lacks.
 
-    Refits the declared model, fits sets of effects beside it, and reports how probable each of them is, and the errors
-    before and after, on the data that were fitted and predicted for held-out data. Without --holdout, strokes are held
-    out. What the budget leaves untried makes the verdict less certain.
+    The declared model is refitted, and sets of effects are fitted beside it. The report says how probable each set is,
+    and how large the errors are before and after, on the strokes that were fitted and on held-out ones. Without
+    --holdout, about a quarter of the strokes are held out. What the budget leaves untried makes the verdict less
+    certain.
+      valve-sim diagnose bags/friction --output results
 
     Writes DIR/report.json, report.html for people, corrected.yaml, which valve_node, simulate and validate load, and,
     if a further recording would tell candidates apart, record_next.yaml, a profile for simulate and command_profile.
 
-      valve-sim diagnose strokes.mcap --output results
-      valve-sim diagnose day_1 day_2 --holdout day_3 --params my_valve.yaml --output results
-      valve-sim diagnose log.csv --plant my_axis.yaml --map map.yaml --output results
+    Other recordings held out; a machine of your own; a table of events:
+      valve-sim diagnose day_1 day_2 --holdout day_3 --params my_valve.yaml \
+          --output results
+      valve-sim diagnose log.csv --plant my_axis.yaml --map map.yaml \
+          --output results
       valve-sim diagnose --events config/paper_events.yaml --output results
+
+    Read on: docs/how_to/diagnosis.md, docs/theory/selection.md
     """
     if (events is None) == (not bags):
         raise click.UsageError("diagnose takes either BAG... or --events FILE", click.get_current_context())

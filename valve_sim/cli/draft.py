@@ -20,14 +20,18 @@ from valve_sim.invocation import invocation
 @params_option
 @click.option("--output", metavar="FILE", type=FILE, show_default="the terminal", help="Where to write the map.")
 def draft(*, recording: Path, params: Path | None, output: Path | None) -> None:
-    """Write a draft of the map that a recording with topics or columns of its own needs.
+    """Draft the map of a recording with names of its own.
 
-    RECORDING is a bag with any topics, or a table of a data logger: CSV, Parquet, or MATLAB. The map says which topic
-    or column is position, voltage and current, in which unit; lines marked CHECK are guesses.
+    RECORDING is a bag with any topics, or a table of a data logger: CSV, Parquet or MATLAB. The map says which topic
+    or column is position, voltage and current, in which unit. Lines marked CHECK are guesses: compare them with what
+    you know of the bench, and mend them.
+      valve-sim map bags/oscilloscope.csv --output scope.yaml
 
+    With the parameter file of the valve the guesses are better; the other commands take the map as --map:
       valve-sim map scope.csv --params my_valve.yaml --output scope.yaml
       valve-sim info scope.csv --map scope.yaml --params my_valve.yaml
-      valve-sim identify scope.csv --map scope.yaml --params my_valve.yaml --output results
+
+    Read on: docs/how_to/your_own_recordings.md
     """
     from valve_sim.files.whole_files import write_whole
     from valve_sim.traces.map_draft import draft_map

@@ -21,14 +21,18 @@ def export_fmu(*, params: Path | None, version: str, output: Path, as_json: bool
     """Write the valve as an FMU for other simulation tools.
 
     The unit is for co-simulation (FMI 2.0, or 3.0 with --fmi 3.0):
-      valve-sim export-fmu --params my_valve.yaml --output valve.fmu
+      valve-sim export-fmu --params config/valve.yaml --output valve.fmu
+
     Inputs are coil_voltage and, of a valve with gas, inlet_pressure and demand_pressure; outputs are pilot_position,
     main_position, pilot_velocity, coil_current, phase, is_open and, with gas, outlet_pressure and mass_flow. Parameters
     have the names of the parameter file, such as valve.spring_rate. Events are located exactly inside a step, so that
     the motion does not depend on the step size, and the state can be kept and set, so that a master can step back.
 
-    The tool that loads the unit needs a Python with this package, on Linux: the unit runs it. Needs the extra fmi:
-      pip install 'valve_sim[fmi]'
+    The unit runs this package, so the tool that loads it needs a Python with valve_sim, on Linux. The command needs
+    the extra fmi:
+      pip install '.[fmi]'
+
+    Read on: docs/how_to/fmu.md
     """
     from valve_sim.fmu.export import export_unit
     from valve_sim.fmu.identity import NEEDED

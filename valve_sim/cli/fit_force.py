@@ -35,19 +35,25 @@ def fit_force(
     output: Path,
     as_json: bool,
 ) -> None:
-    """Fit the attraction to a static table.
+    r"""Fit the attraction to a static table.
 
-    FILE is a CSV with the columns displacement (m) and force (N), measured at one voltage with load cell and stage.
-    With --map it may be any table that the other commands read, with columns and units of its own. The map of a column
-    Weg in mm and a column Kraft in N is
-      displacement: {column: Weg, unit: mm}
-      force: {column: Kraft, unit: N}
+    FILE is a CSV with the columns displacement (m) and force (N), measured at one voltage with load cell and stage:
+      printf 'displacement,force\n0,1.6\n3e-4,4.4\n6e-4,6.8\n9e-4,9.5\n12e-4,17' \
+          > force.csv
+      valve-sim fit-force force.csv --output results
+
     Writes DIR/fit-force.json, DIR/fit-force.png (force and residuals) and DIR/attraction.yaml, which valve_node and
     all commands load: the polynomial and the covariance of its coefficients (tolerances.attraction_covariance).
 
-      valve-sim fit-force force_9V.csv --output results
-      valve-sim fit-force load_cell.csv --map load_cell.yaml --output results
-      valve-sim fit-force force_12V.csv --voltage 12 --params my_valve.yaml --output results
+    With --map it may be any table that the other commands read. The map of a column Weg in mm and a column Kraft in N:
+      displacement: {column: Weg, unit: mm}
+      force: {column: Kraft, unit: N}
+
+    Another voltage than the declared one:
+      valve-sim fit-force force_12V.csv --voltage 12 --params my_valve.yaml \
+          --output results
+
+    Read on: docs/how_to/tolerances.md
     """
     from valve_sim.files.parameter_files import save_valve
     from valve_sim.files.recording_map import load_force_map

@@ -63,17 +63,25 @@ def fleet(
     dry_run: bool,
     as_json: bool,
 ) -> None:
-    """Examine thousands of bags: a table, and a page that shows which valve drifts.
+    r"""Examine thousands of bags, and show which valve drifts.
 
     SOURCE is a bag, a folder that is searched for bags, a glob in quotes, or a URL such as s3://bucket/bags. Every
-    valve of every bag is refitted within its tolerances; where something is left, the missing effect is searched for.
+    valve of every bag is refitted within its tolerances; where that leaves a residual, the missing effect is searched
+    for.
+      valve-sim fleet bags --output results
 
     Writes DIR/fleet.parquet, one row for each bag and valve, DIR/fleet.html, and DIR/reports. The same command again
     does only what is missing: after a crash, for new bags, and for those whose parameter file has changed.
 
-      valve-sim fleet bags --output results
-      valve-sim fleet s3://plant/2026 --params-for /tank_1/valve=tank_1.yaml --output results
+    From object storage, with a parameter file for one tank; on a cluster:
+      valve-sim fleet s3://plant/2026 --output results \
+          --params-for /tank_1/valve=tank_1.yaml
       valve-sim fleet bags --output results --scheduler tcp://10.0.0.1:8786
+
+    Needs the extra fleet:
+      pip install '.[fleet]'
+
+    Read on: docs/how_to/fleet.md
     """
     refuse_without_fleet("fleet")
     cluster = chosen_cluster()

@@ -24,14 +24,21 @@ _DAY = click.DateTime(["%Y-%m-%d", "%Y-%m-%dT%H:%M:%S"])
 def history(
     *, valve: str, archive: Path, since: datetime | None, until: datetime | None, plot: Path | None, as_json: bool
 ) -> None:
-    """Print what an archive holds of a valve.
+    r"""Print what an archive holds of a valve.
 
-    Medians of each month's strokes, then findings and alarms:
-      valve-sim history /tank_1/valve --archive /var/lib/station/archive
-      valve-sim history tank_1/valve --archive archive --since 2026-01-01 --plot tank_1.png
+    The medians of each month's strokes, then findings and alarms. archive_node fills an archive from running monitors,
+    and fleet --archive from bags:
+      valve-sim fleet bags/friction --output results --archive archive
+      valve-sim history /valve --archive archive
 
-    Needs the extra parquet:
-      pip install 'valve_sim[parquet]'
+    All strokes since a day as a picture:
+      valve-sim history tank_1/valve --archive archive --since 2026-01-01 \
+          --plot tank_1.png
+
+    Needs the extra parquet, and the first line the extra fleet:
+      pip install '.[parquet,fleet]'
+
+    Read on: docs/how_to/archive.md
     """
     from valve_sim.records.archive import Archive
     from valve_sim.records.story import plot_story, story_json, story_text, tell

@@ -59,16 +59,22 @@ def identify(
     output: Path,
     as_json: bool,
 ) -> None:
-    """Refit parameters to recordings.
+    r"""Refit parameters to recordings.
 
-    Reports each value with its 95 % interval, and which values the data do not determine. Writes DIR/identify.json and
-    DIR/identified.yaml, which valve_node, simulate and validate load.
+    Prints each value with its 95 % interval, and says which values the data do not determine. Writes DIR/identify.json
+    and DIR/identified.yaml, which valve_node, simulate and validate load.
+      valve-sim identify bags/eight_strokes.mcap --output results
 
-      valve-sim identify strokes.mcap --output results
-      valve-sim identify day_1 day_2 --free pilot_damping,main_damping,a0 --params my_valve.yaml --output results
+    Several recordings, with other parameters than the dampings:
+      valve-sim identify day_1 day_2 --params my_valve.yaml \
+          --free pilot_damping,main_damping,a0 --output results
+    Many recordings of one valve, each fitted by itself, in four processes:
       valve-sim identify bags/* --shared --workers 4 --output results
-      valve-sim identify log.csv --plant my_axis.yaml --map map.yaml --output results
-      valve-sim validate tomorrow.mcap --params results/identified.yaml
+    A machine of your own:
+      valve-sim identify log.csv --plant my_axis.yaml --map map.yaml \
+          --output results
+
+    Read on: docs/tutorials/first_diagnosis.md, docs/theory/estimation.md
     """
     from valve_sim.files.parameter_files import save_valve
     from valve_sim.files.whole_files import refuse_unwritable, write_whole

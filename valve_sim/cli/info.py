@@ -27,19 +27,25 @@ if TYPE_CHECKING:
 @params_option
 @click.option(
     "--state", "with_state", is_flag=True,
-    help="Its errors beside the declared valve: drift, hum, ringing ..., what to do, and what can be named in it.",
+    help="Also fit the declared valve, and list the errors of the recording (drift, hum, ringing ...) with what to do "
+    "about them, and how large each effect would have to be to be named.",
 )  # fmt: skip
 @json_option
 def info(*, bag: Path, name: str | None, params: Path | None, with_state: bool, as_json: bool) -> None:
     """Show what a recording contains.
 
-    Valves, signals and their rates, strokes, gaps, clock problems, and what was dropped or repaired on reading.
-    Arrivals in each stroke are found from the sensors alone. Of the parameters, pilot_gap says where to look for them;
-    the others say whether the recording can be of that valve. No model is used, but with --state.
+    Valves, signals and their rates, strokes, gaps, clock problems, and what was dropped or repaired on reading:
+      valve-sim info bags/friction
 
-      valve-sim info strokes.mcap
-      valve-sim info strokes.mcap --params my_valve.yaml --state
-      valve-sim info station_bag --valve /tank_1/valve --json | jq '.valves[0].strokes'
+    When the plungers arrived in each stroke is found from the sensors alone, without a model; of the declared
+    parameters only pilot_gap is used for it, and the others to say whether the recording can be of that valve. With
+    --state the declared valve is fitted, and the errors of the recording are listed:
+      valve-sim info bags/eight_strokes.mcap --state
+
+    One valve of several, for a program:
+      valve-sim info station_bag --valve /tank_1/valve --json
+
+    Read on: docs/how_to/your_own_recordings.md, docs/how_to/record_well.md
     """
     from valve_sim.traces import another_valve, describe, doubtful_units, events_from_sensors, list_valves, read_trace
 

@@ -43,13 +43,13 @@ map_option = click.option(
     type=FILE,
     expose_value=False,
     callback=lambda context, _, path: context.meta.__setitem__(MAP_KEY, path),
-    help="Map: which topic or column is which quantity; valve-sim map drafts that of a recording.",
+    help="Map: which topic or column is which quantity. The command map drafts one.",
 )
 plant_option = click.option(
     "--plant",
     metavar="FILE",
     type=FILE,
-    help="A machine of your own, plant: equations, coil or axis, in place of the valve.",
+    help="Plant file: a machine of your own in place of the valve.",
 )
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON in place of text.")
 folder_option = click.option("--output", metavar="DIR", type=FILE, required=True, help="Folder for the results.")

@@ -55,6 +55,8 @@ def read_plant(plant: Path, logs: Sequence[Path]) -> OwnPlant:
             click.echo(shown(f"valve-sim: {log}: {finding}"), err=True)
         recordings.append(recording)
     plant_with_data = OwnPlant(file, recordings)
+    for finding in plant_with_data.findings:
+        click.echo(shown(f"valve-sim: {finding}"), err=True)
     for name in file.inputs if file.states else ():
         column = recordings[0][name]
         held = file.inputs[name].held if column.held is None else column.held

@@ -26,17 +26,23 @@ from valve_sim.cli.validate import validate
 )
 @click.version_option(__version__, prog_name="valve-sim")
 def main() -> None:
-    """Simulate, identify, diagnose and validate a pilot-operated solenoid valve.
+    r"""Simulate, identify, diagnose and validate a pilot-operated solenoid valve.
 
     From nothing to an identified valve in four lines:
       echo '[[0.01, 9], [0.04, 0], [0.07, 12], [0.10, 0]]' > strokes.yaml
-      valve-sim simulate --profile strokes.yaml --duration 0.14 --noise-um 1 --output strokes.mcap
+      valve-sim simulate --profile strokes.yaml --duration 0.14 \
+          --noise-um 1 --output strokes.mcap
       valve-sim info strokes.mcap
       valve-sim identify strokes.mcap --output results
 
-    A recording is a rosbag2 folder or a bare .mcap file with the topics ~/coil_voltage and ~/measured/joint_states. A
-    parameter file is a ROS 2 parameter file, the one that valve_node takes; without --params the shipped
-    config/valve.yaml is used.
+    A recording is a rosbag2 folder or a bare .mcap file with the topics ~/coil_voltage and ~/measured/joint_states;
+    with a map (valve-sim map), any other bag or table. A parameter file is a ROS 2 parameter file, the one that
+    valve_node takes; without --params the shipped config/valve.yaml is used.
+
+    Each command has a --help with an example. Examples that begin with bags/ or config/ work in a checkout; pip puts
+    these folders into share/valve_sim of the Python environment.
+
+    Read on: docs/tutorials/first_diagnosis.md
     """
 
 

@@ -25,36 +25,40 @@ if TYPE_CHECKING:
 @plant_option
 @map_option
 @click.option("--voltage", metavar="V", type=finite_number(), help="Constant voltage from time 0 on.")
-@click.option("--profile", metavar="FILE", type=FILE, help="Voltage over time: see below.")
+@click.option("--profile", metavar="FILE", type=FILE, help="Voltage over time, YAML or CSV: see above.")
 @click.option("--duration", metavar="S", type=finite_number(0.0, is_open=True), help="Duration, s.")
 @click.option("--rate", metavar="HZ", type=finite_number(0.0, is_open=True), default=20000.0, help="Sample rate, Hz.")
 @click.option(
-    "--noise-um", metavar="UM", type=finite_number(0.0), default=0.0, help="Noise of the positions, µm (std. dev.)."
+    "--noise-um",
+    metavar="UM",
+    type=finite_number(0.0),
+    default=0.0,
+    help="Standard deviation of the positions' noise, µm.",
 )
 @click.option(
-    "--quantisation-um", metavar="UM", type=finite_number(0.0), default=0.0, help="Step of the positions, µm."
+    "--quantisation-um", metavar="UM", type=finite_number(0.0), default=0.0, help="Resolution of the positions, µm."
 )
 @click.option(
     "--current-noise-ma",
     metavar="MA",
     type=finite_number(0.0),
     show_default="1 with --noise-um, else 0",
-    help="Noise of the coil current, mA.",
+    help="Standard deviation of the current's noise, mA.",
 )
 @click.option(
     "--voltage-noise-mv",
     metavar="MV",
     type=finite_number(0.0),
-    help="Measure the voltage at the coil, too, with this noise, mV.",
+    help="Also record the voltage at the coil, with noise of this standard deviation, mV.",
 )
 @click.option(
     "--pressure-noise-kpa",
     metavar="KPA",
     type=finite_number(0.0),
     default=0.0,
-    help="Noise of the outlet's pressure, kPa, of a valve with gas.",
+    help="Standard deviation of the noise of the outlet's pressure, kPa, of a valve with gas.",
 )
-@click.option("--with-noise", is_flag=True, help="With --plant: the outputs' declared noise, drawn with --seed.")
+@click.option("--with-noise", is_flag=True, help="With --plant: add the outputs' declared noise, drawn with --seed.")
 @click.option("--without-position", is_flag=True, help="Record no position, as where none can be measured.")
 @click.option(
     "--seed", type=click.IntRange(min=0), default=0, help="Seed of the noise; the same seed gives the same recording."
@@ -83,28 +87,32 @@ def simulate(
     plot: Path | None,
     as_json: bool,
 ) -> None:
-    """Simulate strokes and record them.
+    r"""Simulate strokes and record them.
 
     One opening at 9 V, as a table and a picture:
-      valve-sim simulate --voltage 9 --duration 0.02 --output opening.csv --plot opening.png
-    Strokes with a noisy sensor, as a bag that identify reads back:
-      valve-sim simulate --profile strokes.csv --duration 0.5 --noise-um 1 --output strokes.mcap
+      valve-sim simulate --voltage 9 --duration 0.02 --output opening.csv \
+          --plot opening.png
 
-    The outputs of a machine of your own, driven by the inputs of a table:
-      valve-sim simulate log.csv --plant my_axis.yaml --map map.yaml --output shown.csv
+    Two strokes with a noisy sensor, as a bag that identify reads back:
+      echo '[[0.01, 9], [0.04, 0], [0.07, 12], [0.10, 0]]' > strokes.yaml
+      valve-sim simulate --profile strokes.yaml --duration 0.14 \
+          --noise-um 1 --output strokes.mcap
 
-    A profile is a CSV file with the columns time (s) and volts (V), each voltage held until the next row:
-      time,volts
-      0.010,9.0
-      0.040,0.0
-    or a YAML file of the same rows: [[0.010, 9.0], [0.040, 0.0]] or [{time: 0.010, volts: 9.0}, ...].
-    A CSV that simulate wrote is a profile too.
+    The outputs of a machine of your own, driven by the inputs in a table:
+      valve-sim simulate log.csv --plant my_axis.yaml --map map.yaml \
+          --output shown.csv
+
+    A profile lists times (s) and voltages (V), each voltage held until the next row. It is a YAML file as above, or
+    with named keys ([{time: 0.01, volts: 9}, ...]), or a CSV file with the columns time and volts. A CSV that simulate
+    wrote is a profile, too.
 
     The CSV has the columns time, coil_voltage, coil_current, pilot_position, main_position, pilot_velocity, phase and,
     of a valve with gas, outlet_pressure and mass_flow (from inlet to outlet), in SI units. The bag has
     /valve/coil_voltage, /valve/measured/joint_states, /valve/measured/coil_current and, with gas,
-    /valve/measured/outlet_pressure, and its stamps begin at 0. With --voltage-noise-mv, voltage and current at the
-    coil's terminals are in /valve/measured/coil.
+    /valve/measured/outlet_pressure; its stamps begin at 0. With --voltage-noise-mv, voltage and current at the coil's
+    terminals are in /valve/measured/coil.
+
+    Read on: docs/tutorials/first_diagnosis.md, docs/reference/parameters.md
     """
     from valve_sim.traces.synthetic import Sensor, record
 

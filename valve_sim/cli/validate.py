@@ -48,14 +48,14 @@ OUTSIDE: Final = 1
     metavar="MA",
     type=finite_number(0.0, is_open=True),
     show_default="3 times the standard deviation that is predicted",
-    help="The same of the current, mA, for recordings without positions.",
+    help="Largest rms error of the current, mA, for recordings without positions.",
 )
 @click.option(
     "--tolerance-kpa",
     metavar="KPA",
     type=finite_number(0.0, is_open=True),
     show_default="3 times the standard deviation that is predicted",
-    help="The same of the outlet's pressure, kPa, of a valve with gas.",
+    help="Largest rms error of the outlet's pressure, kPa, for a valve with gas.",
 )
 @click.option("--junit", metavar="XML", type=FILE, help="Write a JUnit report, a test case for each stroke.")
 @click.option(
@@ -78,17 +78,24 @@ def validate(
     name: str | None,
     as_json: bool,
 ) -> int:
-    """Check a declared valve against recordings.
+    r"""Check a declared valve against recordings.
 
-    The recorded commands are replayed on it. Exit 0 if every stroke is within the tolerance, 1 if not. A stroke is
-    within the tolerance if its root-mean-square error is, both over all its samples and over those in which the model
-    moves. Nothing of the valve is estimated, only the offset between the clocks of commands and samples and, where the
-    recording speaks for them, errors of the commands' stamps, prior N(0, 50 µs) each. By default the tolerance is three
-    times the standard deviation that is predicted, by the sensor's noise and by the tolerances in the file.
+    The recorded commands are replayed on the declared valve. The exit code is 0 if every stroke is within the
+    tolerance, and 1 if not:
+      valve-sim validate bags/one_opening.mcap --params config/valve.yaml
 
-      valve-sim validate strokes.mcap --params config/valve.yaml
+    A stroke is within the tolerance if its root-mean-square error is, over all its samples and over those in which the
+    model moves. By default the tolerance is three times the predicted standard deviation, which follows from the
+    sensor's noise and from the tolerances in the file. No parameter of the valve is estimated, only the offset between
+    the clocks of commands and samples and, where the recording shows them, errors of the commands' stamps, each with
+    the prior N(0, 50 µs).
+
+    In continuous integration; with a machine of your own:
+      valve-sim validate tests/*.mcap --params results/identified.yaml \
+          --tolerance-um 17 --junit replay.xml
       valve-sim validate log.csv --plant results/corrected.yaml --map map.yaml
-      valve-sim validate tests/*.mcap --params results/identified.yaml --tolerance-um 17 --junit replay.xml
+
+    Read on: docs/tutorials/first_diagnosis.md
     """
     params = chosen_params(plant, params)
     if plant is not None and is_own(plant):

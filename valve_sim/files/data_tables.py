@@ -28,6 +28,8 @@ _UNIT_WORDS: Final = frozenset(
     {unit for units in UNITS.values() for unit in units}
     | {"volt", "volts", "second", "seconds", "sec", "ampere", "amp", "amps", "ohm", "Ω", "N", "Hz", "%", "-", ""}
 )
+MOST_REPEATED: Final = 20
+"""Rows, of which one may have the time of the row before: logged twice, that is. More do not know their time."""
 _WHOLE: Final = 3
 """So many lines of numbers in a row begin the data."""
 
@@ -61,6 +63,40 @@ class DataTable:
     def place(self, row: int) -> str:
         """Where a row (from 0 on) is in the file, for messages."""
         return f"row {row + 1}"
+
+    def row_times(self, column: str, factor: float) -> tuple[Array, NDArray[np.bool_], int]:
+        """When each row was taken.
+
+        Args:
+            column: its name or number. factor: seconds in its unit.
+
+        Returns:
+            (n,) s; (n,) which rows to keep: a row with the time of the one before goes; how many these are.
+
+        Raises:
+            TableError: a cell is empty, time runs backwards, or many rows share one time.
+        """
+        times = factor * self.column(column)
+        finite = np.isfinite(times)
+        if not finite.all():
+            where = self.place(int(np.argmin(finite)))
+            raise TableError(f"{self.path}: {where}: column {column} holds no time; take the row out")
+        steps = np.diff(times)
+        if (steps < 0).any():
+            row = int(np.argmax(steps < 0)) + 1
+            raise TableError(
+                f"{self.path}: {self.place(row)}: time column {column} runs backwards, {times[row]:.9g} s "
+                f"after {times[row - 1]:.9g} s; sort the rows, cut the file where the logger began anew, or name "
+                "another column"
+            )
+        kept = np.concatenate([[True], steps > 0])
+        repeated = int((~kept).sum())
+        if repeated > len(times) // MOST_REPEATED:
+            raise TableError(
+                f"{self.path}: column {column}: {repeated} of {len(times)} rows have the time of the row before; "
+                "write the time with more digits, or give time: {rate: ...} (rows a second)"
+            )
+        return times, kept, repeated
 
     def _numbers(self, place: int) -> Array:
         raise NotImplementedError

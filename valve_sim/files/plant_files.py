@@ -65,10 +65,11 @@ class StateEntry:
 
 @dataclass(frozen=True)
 class InputEntry:
-    """An input: its unit; whether it is held between samples; the name of the input that it is a derivative of."""
+    """An input: its unit; whether it is held between samples; s by which it acts later than its column shows."""
 
     unit: Unit
     held: bool
+    delay: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -90,11 +91,12 @@ class ParameterEntry:
 
 @dataclass(frozen=True)
 class OutputEntry:
-    """What a sensor shows: its equation, and the standard deviation of its noise, SI, if that is known."""
+    """What a sensor shows: equation; standard deviation of its noise, SI, if that is known; s by which it is late."""
 
     unit: Unit
     value: Expr
     noise: float | None
+    delay: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -115,12 +117,13 @@ class EffectParameter:
 
 @dataclass(frozen=True)
 class EffectEntry:
-    """An effect: what it adds to derivatives and outputs, by their names."""
+    """An effect: what it adds to derivatives and outputs, by name; which parameter delays which input or output."""
 
     add: Mapping[str, Expr]
     parameters: Mapping[str, EffectParameter]
     confused_with: tuple[str, ...] = ()
     title: str = ""
+    delay: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -407,9 +410,12 @@ class _Reader:
                 f"{key}.unit", f"found {_short(text)}, expected a text such as N*s/m; 1 for a plain number"
             )
         try:
-            return parse_unit(text)
+            unit = parse_unit(text)
         except UnitError as error:
             raise self._fail(f"{key}.unit", str(error)) from error
+        if unit.zero:
+            raise self._fail(f"{key}.unit", f"found {text}; temperatures of a plant are in K, {text} is for columns")
+        return unit
 
     def _number(self, key: str, found: object, unit: Unit | None = None) -> float:
         if isinstance(found, bool):
@@ -463,11 +469,11 @@ class _Reader:
 
     def _input(self, name: str, found: object) -> InputEntry:
         key = f"inputs.{name}"
-        entry = self._entry(key, found, ("unit", "between"))
+        entry = self._entry(key, found, ("unit", "between", "delay"))
         between = entry.get("between", "straight")
         if between not in ("held", "straight"):
             raise self._fail(f"{key}.between", f"found {_short(between)}, expected held or straight")
-        return InputEntry(self._unit(key, entry), between == "held")
+        return InputEntry(self._unit(key, entry), between == "held", self._delay(key, entry))
 
     def _parameter(self, name: str, found: object) -> ParameterEntry:
         key = f"parameters.{name}"
@@ -568,7 +574,7 @@ class _Reader:
         key = f"outputs.{name}"
         if isinstance(found, str):
             raise self._fail(key, f"found {_short(found)}, expected {{value: {found}, unit: ...}}")
-        entry = self._entry(key, found, ("value", "unit", "noise"))
+        entry = self._entry(key, found, ("value", "unit", "noise", "delay"))
         unit = self._unit(key, entry)
         if "value" not in entry:
             raise self._fail(f"{key}.value", "is missing; say what the sensor shows")
@@ -580,7 +586,7 @@ class _Reader:
                 f"{key}.noise",
                 f"found {entry['noise']}, expected a standard deviation above 0; leave it out where it is not known",
             )
-        return OutputEntry(unit, value, noise)
+        return OutputEntry(unit, value, noise, self._delay(key, entry))
 
     def _used(
         self, derivatives: Mapping[str, Expr], outputs: Mapping[str, OutputEntry],
@@ -605,16 +611,47 @@ class _Reader:
         effects = {}
         for name, own in found.items():
             key = f"effects.{name}"
-            entry = self._entry(key, own, ("add", "parameters", "confused_with", "title"))
+            entry = self._entry(key, own, ("add", "delay", "parameters", "confused_with", "title"))
             parameters = self._effect_parameters(key, entry.get("parameters"), dimensions)
             known = {**dimensions, **{one: parameter.unit.dimension for one, parameter in parameters.items()}}
-            add = self._add(key, entry.get("add"), (derivatives, outputs, known))
-            used = {one for expression in add.values() for one in names_in(expression)}
+            delay = self._delays(key, entry["delay"], parameters, outputs) if "delay" in entry else {}
+            add = (
+                {} if delay and "add" not in entry else self._add(key, entry.get("add"), (derivatives, outputs, known))
+            )
+            used = {*delay.values(), *(one for expression in add.values() for one in names_in(expression))}
             for one in parameters:
                 if one not in used:
                     raise self._fail(f"{key}.parameters.{one}", "is used by nothing that the effect adds; take it out")
-            effects[name] = EffectEntry(add, parameters, self._alike(key, entry, found), self._title(key, entry))
+            effects[name] = EffectEntry(add, parameters, self._alike(key, entry, found), self._title(key, entry), delay)
         return effects
+
+    def _delay(self, key: str, entry: Mapping[str, Any]) -> float:
+        """s, of an input or output; a plain number is in s."""
+        found = self._number(f"{key}.delay", entry.get("delay", 0.0))
+        if found < 0.0:
+            raise self._fail(f"{key}.delay", f"found {entry['delay']}, expected seconds from 0 on")
+        return found
+
+    def _delays(
+        self, key: str, found: object, parameters: Mapping[str, EffectParameter], outputs: Mapping[str, OutputEntry]
+    ) -> dict[str, str]:
+        """Which parameter of an effect delays which input or output."""
+        key = f"{key}.delay"
+        if not isinstance(found, Mapping) or not found:
+            raise self._fail(key, f"found {_short(found)}, expected an input or output and a parameter: {{force: lag}}")
+        known = [*self._section("inputs"), *outputs]
+        for target, name in found.items():
+            if target not in known:
+                raise self._fail(f"{key}.{target}", f"is no input and no output; {_expected(target, known)}")
+            if name not in parameters:
+                raise self._fail(f"{key}.{target}", f"found {_short(name)}; {_expected(name, parameters)}")
+            own = parameters[name]
+            self._fits(f"{key}.{target}", own.unit.dimension, (0, 0, 1, 0, 0), f"a time, as {name} has to be")
+            if own.neutral != 0.0 or not (own.lower == 0.0 and own.upper < math.inf):
+                raise self._fail(
+                    f"{key}.{target}", f"{name} needs neutral: 0 and a range from 0 on, such as range: [0, 0.1]"
+                )
+        return {str(target): str(name) for target, name in found.items()}
 
     def _alike(self, key: str, entry: Mapping[str, Any], effects: Mapping[str, Any]) -> tuple[str, ...]:
         alike = entry.get("confused_with", [])

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from valve_sim.files.yaml_files import read_yaml
+from valve_sim.model.core.own.units import Unit, parse_unit
 from valve_sim.model.errors import ValveError
 
 if TYPE_CHECKING:
@@ -29,45 +30,28 @@ class MapError(ValveError):
     """A map cannot be used: one line that names the file and the key, what was found and what is expected."""
 
 
-class Unit(NamedTuple):
-    """A unit and its conversion to SI: factor × number + zero."""
+_ALLOWED: Final[Mapping[str, Sequence[str]]] = {
+    "voltage": ("V", "mV", "kV"),
+    "length": ("m", "cm", "mm", "um", "µm", "nm", "in"),
+    "current": ("A", "mA", "uA", "µA"),
+    "acceleration": ("m/s2", "m/s²", "mm/s2", "g"),
+    "pressure": ("Pa", "hPa", "mbar", "kPa", "bar", "MPa", "psi"),
+    "force": ("N", "mN", "kN", "kgf", "lbf"),
+    "temperature": ("degC", "°C", "K"),
+    "time": ("s", "ms", "us", "µs", "ns", "min"),
+}
+CELSIUS: Final = 273.15
+"""K, of 0 °C: a valve's temperatures are in °C."""
 
-    factor: float
-    zero: float = 0.0
+
+def _unit(name: str, dimension: str) -> Unit:
+    """A unit as a quantity of this dimension has it: g is a mass elsewhere, and temperatures are in °C here."""
+    unit = parse_unit("g0" if (name, dimension) == ("g", "acceleration") else name)
+    return unit._replace(zero=unit.zero - CELSIUS) if dimension == "temperature" else unit
 
 
 UNITS: Final[Mapping[str, Mapping[str, Unit]]] = {
-    "voltage": {"V": Unit(1.0), "mV": Unit(1e-3), "kV": Unit(1e3)},
-    "length": {
-        "m": Unit(1.0),
-        "cm": Unit(1e-2),
-        "mm": Unit(1e-3),
-        "um": Unit(1e-6),
-        "µm": Unit(1e-6),
-        "nm": Unit(1e-9),
-        "in": Unit(0.0254),
-    },
-    "current": {"A": Unit(1.0), "mA": Unit(1e-3), "uA": Unit(1e-6), "µA": Unit(1e-6)},
-    "acceleration": {"m/s2": Unit(1.0), "m/s²": Unit(1.0), "mm/s2": Unit(1e-3), "g": Unit(9.80665)},
-    "pressure": {
-        "Pa": Unit(1.0),
-        "hPa": Unit(1e2),
-        "mbar": Unit(1e2),
-        "kPa": Unit(1e3),
-        "bar": Unit(1e5),
-        "MPa": Unit(1e6),
-        "psi": Unit(6894.757293168),
-    },
-    "force": {"N": Unit(1.0), "mN": Unit(1e-3), "kN": Unit(1e3), "kgf": Unit(9.80665), "lbf": Unit(4.4482216152605)},
-    "temperature": {"degC": Unit(1.0), "°C": Unit(1.0), "K": Unit(1.0, -273.15)},
-    "time": {
-        "s": Unit(1.0),
-        "ms": Unit(1e-3),
-        "us": Unit(1e-6),
-        "µs": Unit(1e-6),
-        "ns": Unit(1e-9),
-        "min": Unit(60.0),
-    },
+    dimension: {name: _unit(name, dimension) for name in names} for dimension, names in _ALLOWED.items()
 }
 """Units by dimension; the first of each is the default."""
 
@@ -143,7 +127,8 @@ class Source:
     def to_si(self, readings: NDArray[np.float64], dimension: str) -> NDArray[np.float64]:
         """Readings in SI (°C for temperatures), same shape."""
         units = UNITS[dimension]
-        factor, zero = units[self.unit] if self.unit else next(iter(units.values()))
+        unit = units[self.unit] if self.unit else next(iter(units.values()))
+        factor, zero = unit.factor, unit.zero
         if (factor, zero, self.scale, self.sign, self.offset) == (1.0, 0.0, 1.0, 1.0, 0.0):
             return readings
         return factor * (self.sign * self.scale * readings + self.offset) + zero

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Final
 
 HIDDEN: Final = "***"
-"""What stands in place of a credential."""
+"""Text that replaces a credential."""
 
 _USER: Final = re.compile(r"(?<=://)[^/@\s]+@")
 _QUERY: Final = re.compile(r"(?<=\w)\?\S*[=&]\S*")

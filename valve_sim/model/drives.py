@@ -134,7 +134,7 @@ def pulse_width_modulated(
 
 
 def pulse_width_mean(supply: float, duty: float, start: float, end: float, off_voltage: float = 0.0) -> Drive:
-    """The same by its mean voltage, for records of any length; the ripple of the current is left out.
+    """A pulse-width modulated drive by its mean voltage, for records of any length; without the ripple of the current.
 
     The mean is valid if current flows throughout the period. With a freewheeling path give −`release_voltage` as the
     `off_voltage`. The theory, "Release and drives", has the size of the ripple and the error of leaving it out.

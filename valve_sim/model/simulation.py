@@ -15,7 +15,7 @@ from valve_sim.model.core.equations import NEUTRAL
 from valve_sim.model.core.live import Live
 from valve_sim.model.core.plan import Plan, plan_of
 from valve_sim.model.core.symbols import Own
-from valve_sim.model.core.tracer import Trace
+from valve_sim.model.core.tracer import Node, Trace
 from valve_sim.model.core.valve import why_no_flux
 from valve_sim.model.core_types import Phase
 from valve_sim.model.drives import Drive, Supply
@@ -128,15 +128,19 @@ class Valve:
 
     def after_effects(self, *names: str) -> list[float]:
         """Its numbers as its effects leave them, by their names in `core.equations`."""
-        trace, declared = Trace(), {**NEUTRAL, **self.declared()}
-        found = [trace.constant(declared[name]) for name in names]
+        declared = {**NEUTRAL, **self.declared()}
+        found: list[Any] = [declared[name] for name in names]
+        trace: Trace | None = None
         for effect, given in self.effects.items():
             entry = CATALOGUE[effect]
-            own = Own(**{name: trace.constant(value) for name, value in {**_neutral(entry), **given}.items()})
-            for place, name in enumerate(names):
-                if name in entry.changes:
-                    found[place] = trace.lift(entry.changes[name](found[place], own))
-        return [float(node.value or 0.0) for node in found]
+            changed = [place for place, name in enumerate(names) if name in entry.changes]
+            if changed:
+                trace = trace or Trace()
+                numbers = {**_neutral(entry), **given}
+                own = Own(**{name: trace.constant(value) for name, value in numbers.items()})
+                for place in changed:
+                    found[place] = trace.lift(entry.changes[names[place]](trace.lift(found[place]), own))
+        return [float(own.value or 0.0) if isinstance(own, Node) else float(own) for own in found]
 
     def _shapes(self) -> tuple[float, ...]:
         """The values of the parameters that shape its effects."""
@@ -170,7 +174,7 @@ class Valve:
         return {**values, **dict(zip(POLYNOMIAL_NAMES, polynomial, strict=True))}
 
     def with_values(self, **values: float) -> Valve:
-        """The same valve with some declared scalars (a0 … a3 among them) replaced.
+        """This valve with some declared scalars (a0 … a3 among them) replaced.
 
         Raises:
             ParameterError: no such scalar.
@@ -214,12 +218,12 @@ def _check_one_plunger(effects: Mapping[str, Mapping[str, float]], gas: GasParam
 
 
 def _check_beside_gas(parameters: ValveParameters, effects: Mapping[str, Mapping[str, float]], source: str) -> None:
-    """What is declared beside gas must go with it."""
+    """Refuse declared values that contradict a valve with gas."""
     for name in effects:
         if not CATALOGUE[name].is_of(has_gas=True):
             raise ParameterError(
                 f"{source}: effects.{name}: found beside gas, with which it cannot act: gas has the pressure across "
-                "the main plunger itself, its stop is rigid, and it reads no expressions; take one of the two out"
+                "the main plunger itself, and its stop is rigid; take one of the two out"
             )
     if not parameters.seat_load > 0.0:
         raise ParameterError(
@@ -229,7 +233,7 @@ def _check_beside_gas(parameters: ValveParameters, effects: Mapping[str, Mapping
 
 
 def _check_without_gas(effects: Mapping[str, Mapping[str, float]], source: str) -> None:
-    """What is of gas alone needs gas."""
+    """Refuse effects that only a valve with gas has."""
     for name in effects:
         if not CATALOGUE[name].is_of(has_gas=False):
             raise ParameterError(

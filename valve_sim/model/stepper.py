@@ -79,7 +79,7 @@ class Stepper:
 
     @property
     def valve(self) -> Valve:
-        """What is stepped."""
+        """The valve that is stepped."""
         return self._valve
 
     @property

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Mapping, Sequence
 
+from valve_sim.nodes import usage
 from valve_sim.nodes.starting import UNUSABLE_INPUT, run_node
 
 Program = Callable[[Sequence[str]], int]
@@ -12,22 +13,24 @@ Program = Callable[[Sequence[str]], int]
 
 def valve_node(args: Sequence[str] | None = None) -> int:
     """Run a valve in real time on ROS 2 topics; arguments and exit codes of `run_node`."""
-    return run_node("valve_node", "valve_sim.nodes.valve:ValveNode", args)
+    return run_node("valve_node", "valve_sim.nodes.valve:ValveNode", args, usage.VALVE_NODE)
 
 
 def identification_node(args: Sequence[str] | None = None) -> int:
     """Replay a recording on topics and identify or diagnose its valve; arguments and exit codes of `run_node`."""
-    return run_node("identification_node", "valve_sim.nodes.identification:IdentificationNode", args)
+    return run_node(
+        "identification_node", "valve_sim.nodes.identification:IdentificationNode", args, usage.IDENTIFICATION_NODE
+    )
 
 
 def monitor_node(args: Sequence[str] | None = None) -> int:
     """Watch a valve beside its model, stroke by stroke; arguments and exit codes of `run_node`."""
-    return run_node("monitor_node", "valve_sim.nodes.monitor:MonitorNode", args)
+    return run_node("monitor_node", "valve_sim.nodes.monitor:MonitorNode", args, usage.MONITOR_NODE)
 
 
 def command_profile(args: Sequence[str] | None = None) -> int:
     """Command a valve by a file of times and voltages; arguments and exit codes of `run_node`."""
-    return run_node("command_profile", "valve_sim.nodes.profile:ProfileNode", args)
+    return run_node("command_profile", "valve_sim.nodes.profile:ProfileNode", args, usage.COMMAND_PROFILE)
 
 
 def chosen(programs: Mapping[str, Program]) -> int:

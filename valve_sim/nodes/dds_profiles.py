@@ -20,7 +20,7 @@ class Profile(NamedTuple):
 FAST_DDS_2: Final = Profile("FASTRTPS_DEFAULT_PROFILES_FILE", "fast_dds_2.xml")
 FAST_DDS_3: Final = Profile("FASTDDS_DEFAULT_PROFILES_FILE", "fast_dds_3.xml")
 OWN_FILES: Final = ("DEFAULT_FASTRTPS_PROFILES.xml", "DEFAULT_FASTDDS_PROFILES.xml")
-"""What Fast DDS reads from the folder in which a process starts."""
+"""File that Fast DDS reads from the folder in which a process starts."""
 RCLPY_WITH_FAST_DDS_3: Final = 9
 """The major version of rclpy in Kilted, the first ROS 2 with Fast DDS 3; Jazzy has 7 and Fast DDS 2.14."""
 

@@ -6,8 +6,8 @@ import enum
 import math
 from typing import Final, NamedTuple
 
-from valve_sim.model import Phase
-from valve_sim.nodes.realtime import Timing
+from valve_sim.nodes.live_valve import LiveValve
+from valve_sim.nodes.realtime import NANOSECONDS, Timing
 
 SLOWEST_ACCEPTED: Final = 0.95
 """Achieved rate over publish_rate below which timing is a warning."""
@@ -49,41 +49,6 @@ class Rejections(NamedTuple):
     is_last: bool
 
 
-class CommandFacts(NamedTuple):
-    """State of the commands.
-
-    Attributes:
-        age: s since the last good one; nan before the first.
-        volts: in force.
-        rejections: those that were not finite or beyond max_voltage.
-        timed_out: whether the coil was de-energised for lack of commands.
-        withdrawn: V of the last good one, if the coil was de-energised because max_voltage was set below it; else 0.
-        incompatible_publishers: how many publishers offer an incompatible QoS now.
-    """
-
-    age: float
-    volts: float
-    rejections: Rejections
-    timed_out: bool
-    withdrawn: float = 0.0
-    incompatible_publishers: int = 0
-
-
-class ValveFacts(NamedTuple):
-    """State of the valve.
-
-    Attributes:
-        phase, strokes: now, and full openings in all. failures: how often it was put back to rest.
-        failure: why it was last; empty if it never was. duplicates: other nodes of this name.
-    """
-
-    phase: Phase
-    strokes: int
-    failures: int
-    failure: str
-    duplicates: int = 0
-
-
 def timing_status(timing: Timing, rate_wanted: float, waiting_for: str) -> Status:
     """Whether the node keeps pace with its clock; `waiting_for`: what it cannot step without, or empty."""
     values = {
@@ -109,25 +74,32 @@ def timing_status(timing: Timing, rate_wanted: float, waiting_for: str) -> Statu
     return Status("timing", Level.OK, "keeps pace", values)
 
 
-def command_status(facts: CommandFacts) -> Status:
-    """Whether commands arrive and are accepted."""
+def command_status(live: LiveValve, now: int, rejections: Rejections, incompatible_publishers: int) -> Status:
+    """Whether commands arrive and are accepted.
+
+    Args:
+        live: obeys them. now: time of its clock, ns.
+        rejections: of commands that were not finite or beyond max_voltage.
+        incompatible_publishers: how many publishers offer an incompatible QoS now.
+    """
+    age = math.nan if live.last_command is None else (now - live.last_command) / NANOSECONDS
     values = {
-        "age (s)": _number(facts.age, ".3f"),
-        "voltage (V)": f"{facts.volts:g}",
-        "rejected": str(facts.rejections.total),
-        "timed out": str(facts.timed_out).lower(),
-        "publishers of incompatible QoS": str(facts.incompatible_publishers),
+        "age (s)": _number(age, ".3f"),
+        "voltage (V)": f"{live.volts:g}",
+        "rejected": str(rejections.total),
+        "timed out": str(live.timed_out).lower(),
+        "publishers of incompatible QoS": str(incompatible_publishers),
     }
-    if message := _rejected(facts.rejections, "V"):
+    if message := _rejected(rejections, "V"):
         return Status("command", Level.WARN, message, values)
-    if facts.timed_out:
+    if live.timed_out:
         return Status("command", Level.WARN, "none for longer than command_timeout: coil de-energised", values)
-    if facts.withdrawn:
-        message = f"max_voltage was set below the last, of {facts.withdrawn:g} V: coil de-energised"
+    if live.withdrawn:
+        message = f"max_voltage was set below the last, of {live.withdrawn:g} V: coil de-energised"
         return Status("command", Level.WARN, message, values)
-    if facts.incompatible_publishers:
-        return Status("command", Level.WARN, unheard_words(facts.incompatible_publishers), values)
-    return Status("command", Level.OK, "none yet" if math.isnan(facts.age) else "accepted", values)
+    if incompatible_publishers:
+        return Status("command", Level.WARN, unheard_words(incompatible_publishers), values)
+    return Status("command", Level.OK, "none yet" if math.isnan(age) else "accepted", values)
 
 
 def pressure_status(task: str, pressure: float, rejections: Rejections, incompatible_publishers: int) -> Status:
@@ -144,19 +116,24 @@ def pressure_status(task: str, pressure: float, rejections: Rejections, incompat
     return Status(task, Level.OK, "accepted", values)
 
 
-def valve_status(facts: ValveFacts) -> Status:
-    """The phase and position of the valve, and whether it was put back to rest."""
+def valve_status(live: LiveValve, failure: str, duplicates: int) -> Status:
+    """The phase of the valve, and whether it was put back to rest.
+
+    Args:
+        live: the valve. failure: why it was put back to rest last; empty if it never was.
+        duplicates: how many other nodes have this name.
+    """
     values = {
-        "phase": facts.phase.name.lower(),
-        "strokes": str(facts.strokes),
-        "failures": str(facts.failures),
-        "other nodes of this name": str(facts.duplicates),
+        "phase": live.phase.name.lower(),
+        "strokes": str(live.strokes),
+        "failures": str(live.failures),
+        "other nodes of this name": str(duplicates),
     }
-    if facts.failure:
-        return Status("valve", Level.ERROR, f"was put back to rest: {facts.failure}", values)
-    if facts.duplicates:
+    if failure:
+        return Status("valve", Level.ERROR, f"was put back to rest: {failure}", values)
+    if duplicates:
         return Status("valve", Level.WARN, "another node has this name, and publishes on the same topics", values)
-    return Status("valve", Level.OK, facts.phase.name.lower(), values)
+    return Status("valve", Level.OK, live.phase.name.lower(), values)
 
 
 class RejectionCount:

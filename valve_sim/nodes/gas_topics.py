@@ -1,13 +1,13 @@
-"""What valve_node hears and publishes of gas: the pressures at both ends of the valve, the outlet, and the flow."""
+"""The numbers that valve_node obeys, and what it hears and publishes of gas."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from typing import Final
+from functools import partial
+from typing import Any, Final
 
 from rclpy.node import Node
-from sensor_msgs.msg import FluidPressure
 
 from valve_sim.model.gas import GAS
 from valve_sim.nodes import topics
@@ -16,7 +16,7 @@ from valve_sim.nodes.live_valve import LiveValve, Step
 from valve_sim.nodes.messages import ReadingMessages
 from valve_sim.nodes.node_clock import NodeClock
 from valve_sim.nodes.realtime import Arrival, Decimator, SubscriberCounts
-from valve_sim.nodes.receiving import Inbox
+from valve_sim.nodes.receiving import Inbox, Source
 from valve_sim.nodes.wiring import Interface
 
 BETWEEN_WARNINGS: Final = 5.0
@@ -25,51 +25,50 @@ _RATE: Final = 100.0
 """Hz of pressure and flow: slower than the plungers, and read by slower programs."""
 
 
-class _Obeyed:
-    """One pressure that is obeyed.
+class ObeyedTopic:
+    """A topic each of whose numbers is obeyed from when it came, or else ignored, counted and warned of.
 
     Args:
-        node: hears. interface: of it. inbox: receives. clock: of the node.
-        live: obeys. name: of the pressure, as declared. obey: by what it does.
+        node: hears. clock: of it. receive: subscribes, and is handed what takes each message.
+        field: of a message, which holds the number. unit: of it.
+        obey: called with the time, ns of the clock, and the number; whether it is obeyed.
+        expected: what would have been obeyed, in words. what: it is, in a word.
+
+    Attributes:
+        count: of what was ignored. source: what is subscribed to.
     """
 
     def __init__(
         self,
         node: Node,
-        interface: Interface,
-        inbox: Inbox,
         clock: NodeClock,
-        live: LiveValve,
-        name: str,
+        receive: Callable[[Callable[[Any, Arrival], None]], Source],
+        field: str,
+        unit: str,
         obey: Callable[[int, float], bool],
+        expected: Callable[[], str],
+        what: str,
     ) -> None:
-        self.name = name
         self.count = RejectionCount()
-        self.source = interface.receive(inbox, f"~/{name}", self._take)
-        self._node, self._clock, self._live, self._obey = node, clock, live, obey
+        self.source = receive(self._take)
+        self._node, self._clock, self._obey = node, clock, obey
+        self._field, self._unit, self._expected, self._what = field, unit, expected, what
         self._warned_at = -math.inf
 
-    def _take(self, message: FluidPressure, arrival: Arrival) -> None:
-        pressure = message.fluid_pressure
-        if self._live.valve.gas is None:
-            return
-        if self._obey(self._clock.time_of(arrival), pressure):
+    def _take(self, message: Any, arrival: Arrival) -> None:
+        value = getattr(message, self._field)
+        if self._obey(self._clock.time_of(arrival), value):
             self.count.accept()
             return
-        self.count.reject(pressure)
-        self._warn(pressure)
-
-    def _warn(self, pressure: float) -> None:
+        self.count.reject(value)
         # ROS's own throttle counts by the place in the source, which several topics share.
         now = self._clock.elapsed()
-        if now - self._warned_at < BETWEEN_WARNINGS:
-            return
-        self._warned_at = now
-        rule = GAS[self.name]
-        self._node.get_logger().warning(
-            f"{self.source.topic}: {pressure:g} Pa is ignored, expected a number from {rule.lower:g} to "
-            f"{rule.upper:g} Pa; the last good pressure stays"
-        )
+        if now - self._warned_at >= BETWEEN_WARNINGS:
+            self._warned_at = now
+            self._node.get_logger().warning(
+                f"{self.source.topic}: {value:g} {self._unit} is ignored, expected {self._expected()}; the last good "
+                f"{self._what} stays"
+            )
 
 
 class GasTopics:
@@ -82,8 +81,14 @@ class GasTopics:
     def __init__(self, node: Node, inbox: Inbox, clock: NodeClock, live: LiveValve, messages: ReadingMessages) -> None:
         self._live, self._messages = live, messages
         interface = Interface(node, topics.GAS)
-        self._inlet = _Obeyed(node, interface, inbox, clock, live, "inlet_pressure", live.supply)
-        self._demand = _Obeyed(node, interface, inbox, clock, live, "demand_pressure", live.set_demand_pressure)
+
+        def obeyed(name: str, obey: Callable[[int, float], bool]) -> ObeyedTopic:
+            receive, rule = partial(interface.receive, inbox, f"~/{name}"), GAS[name]
+            expected = f"a number from {rule.lower:g} to {rule.upper:g} Pa"
+            return ObeyedTopic(node, clock, receive, "fluid_pressure", "Pa", obey, lambda: expected, "pressure")
+
+        self._inlet = obeyed("inlet_pressure", live.supply)
+        self._demand = obeyed("demand_pressure", live.set_demand_pressure)
         self._outlet_pressure = interface.publisher("~/outlet_pressure")
         self._mass_flow = interface.publisher("~/mass_flow")
         self._obeyed = {
@@ -122,6 +127,8 @@ class GasTopics:
         live = self._live
         if live.valve.gas is None:
             return
-        for heard, pressure in ((self._inlet, live.inlet_pressure), (self._demand, live.demand_pressure)):
-            task = heard.name.replace("_", " ")
+        for task, heard, pressure in (
+            ("inlet pressure", self._inlet, live.inlet_pressure),
+            ("demand pressure", self._demand, live.demand_pressure),
+        ):
             yield pressure_status(task, pressure, heard.count.rejections(), heard.source.incompatible_publishers)

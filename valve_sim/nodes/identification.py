@@ -34,12 +34,11 @@ from valve_sim.nodes.identification_task import (
     report_text,
 )
 from valve_sim.nodes.messages import ReadingMessages
-from valve_sim.nodes.node_clock import NodeClock
 from valve_sim.nodes.remote_parameters import RemoteParameters, Values, changes_between
 from valve_sim.nodes.replay import Prediction, Replay, measured_reading, measured_voltages, predict, replay_status
 from valve_sim.nodes.settings import IdentificationSettings, identification_settings
 from valve_sim.nodes.valve_parameters import valve_table
-from valve_sim.nodes.wiring import Diagnostics, Interface, RosNode, declared, full_name
+from valve_sim.nodes.wiring import Interface, RosNode, declared, full_name
 
 _DELIVERY: Final = Duration(seconds=2)
 """s that the node waits at its end until subscribers have the result."""
@@ -70,7 +69,6 @@ class IdentificationNode(RosNode):
         self._declared = load_valve(self._settings.params) if self._settings.params else default_valve()
         self._trace = read_recording(self._settings, self._declared)
         self._voltages = measured_voltages(self._trace)
-        self._clock = NodeClock(self._node)
         self._remote = RemoteParameters(self._node, target) if target else None
         self._before: Values = {}
         self._prediction: Prediction | None = None
@@ -78,6 +76,7 @@ class IdentificationNode(RosNode):
         self._task = Task(self._work, self._report)
         rate, loop = self._settings.rate, self._settings.loop
         self._replay = Replay(self._clock, self._trace, rate=rate, loop=loop, player=self)
+        self._threads += (self._replay, self._task)
         self._wire()
 
     def spin(self) -> None:
@@ -86,12 +85,6 @@ class IdentificationNode(RosNode):
             self._node.get_logger().warning(finding)
         self._replay.start()
         super().spin()
-
-    def close(self, timeout: float) -> bool:
-        """Stop and release everything; whether both threads have ended. A fit cannot at once."""
-        have_ended = [self._replay.stop(timeout), self._task.stop(timeout)]
-        self._node.destroy_node()
-        return all(have_ended)
 
     # --- wiring ---
 
@@ -105,7 +98,7 @@ class IdentificationNode(RosNode):
         self._residual = interface.publisher("~/residual")
         self._result = interface.publisher("~/result")
         self._messages = ReadingMessages("")
-        self._diagnostics = Diagnostics(self._node, interface.publisher("/diagnostics"), self._clock, self._statuses)
+        self._publish_diagnostics(interface, self._statuses)
         # A callback group of its own: while it waits for the valve, the reply needs the other group.
         interface.serve("~/undo", self._undo, MutuallyExclusiveCallbackGroup())
 
@@ -235,9 +228,8 @@ class IdentificationNode(RosNode):
         return True, words
 
     def _statuses(self) -> Sequence[Status]:
-        reading = self._clock.read()
         model = "none yet" if self._prediction is None else self._prediction.model
-        return replay_status(self._replay, reading.nanoseconds if reading else 0, model), self._task.status
+        return replay_status(self._replay, self._now(), model), self._task.status
 
 
 def valve_parameters(valve: Valve) -> Values:

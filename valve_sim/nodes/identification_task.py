@@ -174,47 +174,29 @@ class Task(StoppableThread):
     Args:
         work: the work; reports its progress and returns one sentence for a person.
         end: called with that sentence, or with why there is none; is_good says which.
+
+    Attributes:
+        is_done: whether there is a result, or a reason why there is none. status: its progress.
     """
 
     def __init__(self, work: Callable[[Progress], str], end: Callable[[str, bool], None]) -> None:
-        super().__init__("identification")
-        self._work = work
+        super().__init__(
+            "identification",
+            lambda: self._finish(work(self._say), Level.OK),
+            lambda error: self._finish(str(error) if isinstance(error, ValveError) else repr(error), Level.ERROR),
+        )
         self._end = end
-        self._is_done = False
-        self._state = Status("identification", Level.OK, "about to begin", _values("", 0.0))
-
-    @property
-    def is_done(self) -> bool:
-        """Whether there is a result, or a reason why there is none."""
-        return self._is_done
-
-    @property
-    def status(self) -> Status:
-        """Its progress."""
-        return self._state
-
-    def run(self) -> None:
-        """The thread."""
-        try:
-            summary = self._work(self._say)
-        except Cancelled:
-            return
-        except ValveError as error:
-            self._finish(str(error), Level.ERROR)
-        except Exception as error:
-            if not self.is_stopping:
-                self._finish(repr(error), Level.ERROR)
-        else:
-            self._finish(summary, Level.OK)
+        self.is_done = False
+        self.status = Status("identification", Level.OK, "about to begin", _values("", 0.0))
 
     def _say(self, what: str, fraction: float) -> None:
         if self.is_stopping:
             raise Cancelled
-        self._state = Status("identification", Level.OK, what, _values(what, fraction))
+        self.status = Status("identification", Level.OK, what, _values(what, fraction))
 
     def _finish(self, words: str, level: Level) -> None:
-        self._state = Status("identification", level, words, _values("done", 1.0))
-        self._is_done = True
+        self.status = Status("identification", level, words, _values("done", 1.0))
+        self.is_done = True
         self._end(words, level is Level.OK)
 
 

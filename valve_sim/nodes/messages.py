@@ -10,7 +10,7 @@ from __future__ import annotations
 import array
 import math
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from builtin_interfaces.msg import Time
@@ -95,7 +95,7 @@ class ReadingMessages:
         return self._pressure.filled(seconds, nanoseconds, pressure)
 
     def mass_flow(self, reading: Reading) -> bytes:
-        """What flows through the valve from inlet to outlet, kg/s."""
+        """Mass flow through the valve from inlet to outlet, kg/s."""
         return self._number.filled(reading.mass_flow)
 
 
@@ -144,7 +144,7 @@ IS_OPEN: Final = {phase: serialize_message(Bool(data=phase is Phase.OPEN)) for p
 """~/is_open, encoded: the flow path is fully open."""
 
 
-def diagnostic_array(statuses: Sequence[Status], node: str, stamp: int) -> DiagnosticArray:
+def diagnostic_array(statuses: Iterable[Status], node: str, stamp: int) -> DiagnosticArray:
     """/diagnostics, as diagnostic_updater writes it; `node` is the full name, `stamp` in ns."""
     name = node.lstrip("/")
     seconds, nanoseconds = divmod(stamp, NANOSECONDS)

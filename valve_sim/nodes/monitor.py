@@ -11,10 +11,8 @@ import contextlib
 import gc
 import json
 import math
-from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from datetime import datetime, timezone
-from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -31,7 +29,6 @@ from valve_sim.identification.reporting.monitoring import stroke_json
 from valve_sim.identification.reporting.monitoring_words import told_finding
 from valve_sim.model import ParameterError, Stepper
 from valve_sim.nodes import topics
-from valve_sim.nodes.calibration_watch import CalibrationWatch
 from valve_sim.nodes.diagnostics import Level, Status
 from valve_sim.nodes.live_map import live_inputs
 from valve_sim.nodes.messages import ReadingMessages, diagnostic_array
@@ -46,14 +43,13 @@ from valve_sim.nodes.monitor_status import (
     stroke_status,
 )
 from valve_sim.nodes.monitor_tasks import FaultIsolation, Found, MonitorThread
-from valve_sim.nodes.node_clock import NodeClock
 from valve_sim.nodes.parameters import settings_of
 from valve_sim.nodes.realtime import LONGEST_LEAP_SECONDS, NANOSECONDS, SubscriberCounts
 from valve_sim.nodes.settings import MONITORS_FORMER_NAMES, MonitorNodeSettings, monitor_table, monitor_values
 from valve_sim.nodes.spinning import guarded
 from valve_sim.nodes.threads import Repeating
 from valve_sim.nodes.valve_parameters import valve_of
-from valve_sim.nodes.wiring import Diagnostics, Interface, RosNode, declared, full_name
+from valve_sim.nodes.wiring import Interface, RosNode, declared, full_name
 from valve_sim.traces import Trace
 from valve_sim.traces.trouble import MOST_STROKES
 
@@ -64,7 +60,6 @@ _PAUSE_IF_HEARD: Final = 10e-3
 """s, where each sample's prediction is heard: at 1 kHz no more at a time than the ten that a subscriber queues."""
 _JUMP_SECONDS: Final = 1.0
 """A stamp that goes back by more means a clock that was set or a bag that restarted, not a sample out of order."""
-_MOST_WAITING: Final = 100_000
 
 
 class MonitorNode(RosNode):
@@ -92,24 +87,16 @@ class MonitorNode(RosNode):
         self._valve = full_name(self._node, self._settings.valve_node, "valve_node")
         measured = full_name(self._node, f"{self._valve}/{self._settings.measured}", "measured")
         entries = live_inputs(self._settings.map, self._valve) if self._settings.map else {}
-        self._clock = NodeClock(self._node)
         self._state = Path(self._settings.state).expanduser() if self._settings.state else None
         self._kept = None if self._state is None else load_commissioning(self._state, valve)
-        self._calibration = self._load_calibration()
-        take = Takers(
-            self._on_command,
-            self._on_position,
-            self._on_coil,
-            self._on_pressure,
-            self._on_end_pressure,
-            self._on_unusable,
-        )
+        self._calibration = self._watched_calibration(self._settings.calibration, valve)
+        self._input = InputCount()
+        take = Takers(self._command, self._sample, self._coil, self._pressure, self._end_pressure, self._input.reject)
         has_gas = valve.gas is not None
         self._inputs = MonitorInputs(self._node, self._clock, self._valve, measured, entries, take, has_gas=has_gas)
         self._epoch: int | None = None
         self._last_stamp: int | None = None
         self._next_message = 0
-        self._input = InputCount()
         self._segmenter = StrokeSegmenter(valve, settings)
         if self._inputs.by_current:
             self._segmenter.go_by_current()
@@ -122,14 +109,15 @@ class MonitorNode(RosNode):
         self._last_report: StrokeReport | None = None
         self._baseline: Baseline | None = None
         self._is_ready = self._is_heard = False
-        self._waiting: deque[Callable[[], None]] = deque(maxlen=_MOST_WAITING)
         self._monitor_thread = MonitorThread(
             self._stroke_monitor, prepare=self._prepare, report=self._report, isolate=self._isolate,
             forget=self._forget, fail=self._fail,
         )  # fmt: skip
         self._delivery = Repeating(
-            "delivery", self._inputs.deliver, lambda: _PAUSE_IF_HEARD if self._is_heard else _PAUSE, self._fail
+            "delivery", self._deliver, lambda: _PAUSE_IF_HEARD if self._is_heard else _PAUSE, self._fail
         )
+        # Neither the comparison of a stroke nor a search for a fault can end at once.
+        self._threads += (self._delivery, self._monitor_thread, self._isolation)
         self._wire()
 
     def spin(self) -> None:
@@ -138,24 +126,7 @@ class MonitorNode(RosNode):
         self._delivery.start()
         super().spin()
 
-    def close(self, timeout: float) -> bool:
-        """Stop and release everything; whether both threads have ended. A search for a fault cannot at once."""
-        are_silent = self._delivery.stop(timeout)
-        have_ended = [are_silent, self._monitor_thread.stop(timeout), self._isolation.stop(timeout)]
-        if are_silent:
-            self._node.destroy_node()
-        return all(have_ended)
-
     # --- wiring ---
-
-    def _load_calibration(self) -> CalibrationWatch | None:
-        if not self._settings.calibration:
-            return None
-        path, name = Path(self._settings.calibration).expanduser(), self._node.get_fully_qualified_name()
-        found = CalibrationWatch(path, self._declared, name, datetime.now(timezone.utc))
-        for line in found.lines:
-            self._node.get_logger().warning(line)
-        return found
 
     def _wire(self) -> None:
         interface = Interface(self._node, topics.MONITOR)
@@ -169,35 +140,22 @@ class MonitorNode(RosNode):
         self._finding = interface.publisher("~/finding")
         self._messages = ReadingMessages(self._settings.frame_id)
         interface.serve("~/recommission", guarded(self._recommission))
-        self._diagnostics = Diagnostics(self._node, interface.publisher("/diagnostics"), self._clock, self._statuses)
+        self._publish_diagnostics(interface, self._statuses)
 
     # --- what is heard, in the thread that empties the inbox ---
 
-    def _on_command(self, stamp: int, volts: float) -> None:
-        self._when_ready(partial(self._command, stamp, volts))
+    def _deliver(self) -> None:
+        inbox = self._inputs.inbox
+        if self._is_ready:
+            inbox.deliver()
+        else:
+            inbox.store_waiting()
 
-    def _on_position(self, stamp: int, position: float, received: int) -> None:
-        self._when_ready(partial(self._sample, stamp, position, received))
+    def _pressure(self, stamp: int, pressure: float) -> None:
+        self._segmenter.line.hear(self._seconds(stamp), pressure)
 
-    def _on_coil(self, stamp: int, current: float, voltage: float, received: int) -> None:
-        self._when_ready(partial(self._coil, stamp, current, voltage, received))
-
-    def _on_pressure(self, stamp: int, pressure: float) -> None:
-        self._when_ready(lambda: self._segmenter.line.hear(self._seconds(stamp), pressure))
-
-    def _on_end_pressure(self, name: str, stamp: int, pressure: float) -> None:
-        self._when_ready(lambda: self._segmenter.line.hear_end(name, self._seconds(stamp), pressure))
-
-    def _on_unusable(self, why: str) -> None:
-        self._input.reject(why)
-
-    def _when_ready(self, action: Callable[[], None]) -> None:
-        if not self._is_ready:
-            self._waiting.append(action)
-            return
-        while self._waiting:
-            self._waiting.popleft()()
-        action()
+    def _end_pressure(self, name: str, stamp: int, pressure: float) -> None:
+        self._segmenter.line.hear_end(name, self._seconds(stamp), pressure)
 
     def _command(self, stamp: int, volts: float) -> None:
         rejected = self._segmenter.rejected
@@ -303,17 +261,8 @@ class MonitorNode(RosNode):
             model_status(self._stroke_monitor),
             self._input.status(self._clock.elapsed(), self._monitor_thread.lost, waiting_for, unheard),
             isolation_status(self._isolation),
-            *self._calibration_status(),
+            *([self._calibration.status(datetime.now(timezone.utc))] if self._calibration else []),
         )
-
-    def _calibration_status(self) -> Iterator[Status]:
-        """By the system's clock, which has the date also where time is simulated."""
-        if self._calibration is None:
-            return
-        now = datetime.now(timezone.utc)
-        for line in self._calibration.new_remarks(now):
-            self._node.get_logger().warning(line)
-        yield self._calibration.status(now)
 
     # --- the monitor's thread, and that of fault isolation ---
 

@@ -51,7 +51,7 @@ class MonitorInputs:
         take: what is done with what is heard. has_gas: whether there is a pressure behind the valve to be heard.
 
     Attributes:
-        measured: the topic of the samples. voltage: that of the commands.
+        inbox: which delivers. measured: the topic of the samples. voltage: that of the commands.
         by_current: whether no position can come, because the coil is all that is subscribed to.
         wanted: where samples are waited for, in words.
     """
@@ -68,17 +68,13 @@ class MonitorInputs:
         has_gas: bool,
     ) -> None:
         self._clock, self._take = clock, take
-        self._inbox = Inbox(node, clock)
+        self.inbox = Inbox(node, clock)
         self._node = node
         self._unstamped_current: Source | None = None
         if entries:
             self._subscribe_by_map(entries)
         else:
             self._subscribe_to_own_topics(valve, measured, has_gas=has_gas)
-
-    def deliver(self) -> bool:
-        """Have all that has come taken; whether there was anything."""
-        return self._inbox.deliver()
 
     def incompatible_publishers(self) -> int:
         """How many publishers of commands cannot be heard, because they offer best effort."""
@@ -89,7 +85,7 @@ class MonitorInputs:
         self.measured, self.voltage = measured, f"{valve}/coil_voltage"
         self.by_current = kind in _OF_COIL
         self.wanted = measured if self.by_current else f"{measured}, or a current on {sensors}/coil"
-        inbox = self._inbox
+        inbox = self.inbox
         interface = Interface(self._node, topics.MONITOR, valve=valve, sensors=sensors, measured=measured)
         if has_gas:
             self._subscribe_to_pressures(interface, is_simulated=sensors == valve)
@@ -108,14 +104,14 @@ class MonitorInputs:
 
         def receive(name: str, take: Callable[[int, float], None], **places: str) -> Source:
             on_pressure = partial(self._on_pressure, pressures(), take)
-            return interface.receive(self._inbox, name, on_pressure, raw=True, **places)
+            return interface.receive(self.inbox, name, on_pressure, raw=True, **places)
 
         receive("{sensors}/outlet_pressure", self._take.pressure)
         for end in ("inlet_pressure", "demand_pressure"):
             take_end = partial(self._take.end_pressure, end)
             told = receive("{valve}/{end}", take_end, end=end)
             known = "{valve}/obeyed/{end}" if is_simulated else "{sensors}/{end}"
-            receive(known, _Superseding(self._inbox, told, take_end), end=end)
+            receive(known, _Superseding(self.inbox, told, take_end), end=end)
 
     def _subscribe_by_map(self, entries: Mapping[str, LiveInput]) -> None:
         """Subscribe to the topics that the map names."""
@@ -133,7 +129,7 @@ class MonitorInputs:
             stamp = entry.stamp(message) or self._clock.stamp_of(arrival)
             take(stamp, entry.value(message), self._received(arrival))
 
-        return self._inbox.subscribe(entry.message_class, entry.source.topic, on_message, qos)
+        return self.inbox.subscribe(entry.message_class, entry.source.topic, on_message, qos)
 
     def _take_mapped_command(self, stamp: int, volts: float, received: int) -> None:
         self._take.command(stamp, volts)
@@ -159,7 +155,7 @@ class MonitorInputs:
         if found is None or not math.isfinite(found[2]):
             return
         if self._unstamped_current is not None:
-            self._inbox.unsubscribe(self._unstamped_current)
+            self.inbox.unsubscribe(self._unstamped_current)
             self._unstamped_current = None
         stamp, voltage, current = found
         self._take.coil(stamp, current, voltage, self._received(arrival))

@@ -13,7 +13,7 @@ from valve_sim.identification.monitoring.findings import Occasion, StrokeRecord
 from valve_sim.identification.monitoring.scores import Baseline
 from valve_sim.identification.monitoring.stroke_monitor import StrokeMonitor, StrokeReport
 from valve_sim.model.errors import ValveError
-from valve_sim.nodes.threads import StoppableThread
+from valve_sim.nodes.threads import Fail, StoppableThread
 from valve_sim.traces import Trace
 
 MOST_WAITING: Final = 100
@@ -30,7 +30,7 @@ class MonitorThread(StoppableThread):
         isolate: called with the strokes of an alarm, the baseline, and the last of the strokes as it was cut out, when
             it is time to isolate its fault.
         forget: called when the baseline has been discarded, because `recommission` was called.
-        fail: called with the exception, if there is one; the thread then ends.
+        fail: told what went wrong.
     """
 
     def __init__(
@@ -41,16 +41,15 @@ class MonitorThread(StoppableThread):
         report: Callable[[StrokeReport], None],
         isolate: Callable[[list[Trace], Baseline, StrokeRecord], None],
         forget: Callable[[], None],
-        fail: Callable[[Exception], None],
+        fail: Fail,
     ) -> None:
-        super().__init__("monitor")
+        super().__init__("monitor", self._compare, fail)
         self.lost = 0
         self._stroke_monitor = monitor
         self._prepare = prepare
         self._report = report
         self._isolate = isolate
         self._forget = forget
-        self._fail = fail
         self._anew = threading.Event()
         self._waiting: queue.Queue[StrokeRecord | None] = queue.Queue(MOST_WAITING)
 
@@ -73,23 +72,18 @@ class MonitorThread(StoppableThread):
         except queue.Full:
             return
 
-    def run(self) -> None:
-        """The thread."""
-        try:
-            self._prepare()
-            while not self.is_stopping:
-                record = self._waiting.get()
-                if self._anew.is_set():
-                    self._anew.clear()
-                    self._stroke_monitor.recommission()
-                    self._forget()
-                if record is not None and not self.is_stopping:
-                    self._work(record)
-        except Exception as error:
-            if not self.is_stopping:
-                self._fail(error)
+    def _compare(self) -> None:
+        self._prepare()
+        while not self.is_stopping:
+            record = self._waiting.get()
+            if self._anew.is_set():
+                self._anew.clear()
+                self._stroke_monitor.recommission()
+                self._forget()
+            if record is not None and not self.is_stopping:
+                self._take(record)
 
-    def _work(self, record: StrokeRecord) -> None:
+    def _take(self, record: StrokeRecord) -> None:
         self._report(self._stroke_monitor.assess(record))
         if evidence := self._stroke_monitor.take_evidence():
             self._isolate(evidence, self._stroke_monitor.with_present_scatter(), record)
@@ -103,12 +97,12 @@ class Found(NamedTuple):
 
     @property
     def claim(self) -> tuple[str, frozenset[str]]:
-        """What is claimed: the kind of the verdict, and its names."""
+        """The claim: the kind of the verdict, and its names."""
         return self.finding.verdict.kind, frozenset(self.finding.verdict.effects)
 
 
 class _Work(NamedTuple):
-    """What is to be isolated."""
+    """A fault that is to be isolated."""
 
     strokes: list[Trace]
     baseline: Baseline

@@ -24,11 +24,17 @@ _TYPES: Final = {bool: "bool", int: "integer", float: "double", str: "string"}
 
 
 class Words(NamedTuple):
-    """The row of a parameter that is no number: its name, its meaning, and what it may be, where that is a choice."""
+    """The row of a parameter that is no number.
+
+    Attributes:
+        name, description: its own. choices: all that it may be; empty for any.
+        read_only: whether it is read once though others of its table can be set.
+    """
 
     name: str
     description: str
     choices: tuple[str, ...] = ()
+    read_only: bool = False
 
 
 class NodeParameter(NamedTuple):
@@ -150,7 +156,8 @@ def table_of(settings: type[_Settings], *rows: Parameter | Words, read_only: boo
         row = words.pop(name)
         value = list(default) if isinstance(default, tuple) else default
         if isinstance(row, Words):
-            table[name] = NodeParameter(name, value, row.description, choices=row.choices, read_only=read_only)
+            is_fixed = read_only or row.read_only
+            table[name] = NodeParameter(name, value, row.description, choices=row.choices, read_only=is_fixed)
         else:
             table[name] = NodeParameter(name, value, row.description, row.unit, row, read_only=read_only)
     if words:

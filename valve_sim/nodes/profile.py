@@ -6,13 +6,10 @@ Threads: the main thread commands; an `AnsweringThread` answers ROS (parameters,
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from sensor_msgs.msg import BatteryState
 from std_msgs.msg import Float64
 
@@ -20,7 +17,7 @@ from valve_sim.files.parameter_sections import Section
 from valve_sim.files.whole_files import write_whole
 from valve_sim.model import ValveError
 from valve_sim.nodes import topics
-from valve_sim.nodes.node_clock import NodeClock
+from valve_sim.nodes.commanding import CommandingNode
 from valve_sim.nodes.profile_playing import (
     PROFILE,
     Commanded,
@@ -32,8 +29,8 @@ from valve_sim.nodes.profile_playing import (
     profile_settings,
 )
 from valve_sim.nodes.realtime import LISTENERS_SECONDS, NANOSECONDS
-from valve_sim.nodes.spinning import AnsweringThread, guarded, wait_until_heard
-from valve_sim.nodes.wiring import Interface, RosNode, declared, full_name
+from valve_sim.nodes.spinning import every, wait_until_heard
+from valve_sim.nodes.wiring import Interface, declared, full_name
 
 _LOOK_SECONDS: Final = 0.05
 _UNKNOWN_NODE: Final = "_NODE_NAME_UNKNOWN_"
@@ -42,7 +39,7 @@ _NAMELESS: Final = "a node without a name so far"
 _PROGRESS_SECONDS: Final = 5.0
 
 
-class ProfileNode(RosNode):
+class ProfileNode(CommandingNode):
     """The node `command_profile`, with the topics `topics.PROFILE`.
 
     Parameters: `profile_playing.PROFILE`; they are read once, at the start.
@@ -59,22 +56,18 @@ class ProfileNode(RosNode):
         self._settings: ProfileSettings = declared(self._node, sections, PROFILE, profile_settings)
         self._drive = checked_profile(self._settings)
         self._valve = full_name(self._node, self._settings.valve, "valve")
-        self._clock = NodeClock(self._node)
         interface = Interface(self._node, topics.PROFILE, valve=self._valve)
         self._voltage = interface.publisher("{valve}/coil_voltage")
         # A recorder that discovers the topic late still gets the log from its beginning.
         self._log = interface.publisher("~/commanded", depth=len(self._drive.times) + 1)
         self._is_watching = False
-        self._node.create_timer(_LOOK_SECONDS, guarded(self._look), clock=Clock(clock_type=ClockType.STEADY_TIME))
+        every(self._node, _LOOK_SECONDS, self._look)
         self._commanded: list[Commanded] = []
-        self._stop = ""
         self._exit_code = 1
         self._next_progress = math.inf
-        self._answering = AnsweringThread(self._node, stop=self._break_off, fail=self._fail)
 
-    def spin(self) -> None:
-        """Command the profile; 0 V is the last command in any case."""
-        self._answering.start()
+    def _work(self) -> None:
+        """Command the profile."""
         logger = self._node.get_logger()
         try:
             self._wait_for_valve()
@@ -85,26 +78,10 @@ class ProfileNode(RosNode):
                 f"from {self._settings.profile}"
             )
             self._next_progress = self._clock.elapsed() + _PROGRESS_SECONDS
-            play(self._drive, self._clock, self._command, lambda: self._stop, self._note)
+            play(self._drive, self._clock, self._command, lambda: self._stop.why, self._note)
             self._exit_code = 0
         except ProfileBrokenOffError as reason:
             logger.error(f"broken off after {len(self._commanded)} of {len(self._drive.times)} commands: {reason}")
-        finally:
-            self._switch_off()
-            self._write()
-
-    def close(self, timeout: float) -> bool:
-        """Release everything; whether all threads have ended."""
-        has_ended = self._answering.close(timeout)
-        if has_ended:
-            self._node.destroy_node()
-        return has_ended
-
-    def _break_off(self, reason: str) -> None:
-        self._stop = reason
-
-    def _fail(self, error: Exception) -> None:
-        self._break_off(f"the node cannot go on: {error!r}")
 
     def _listeners(self) -> list[str]:
         """Full names of the nodes that subscribe to the commands: the valve, and recorders."""
@@ -135,16 +112,13 @@ class ProfileNode(RosNode):
         self._is_watching = True
 
     def _pause(self, seconds: float) -> None:
-        end = self._clock.elapsed() + seconds
-        while (remaining := end - self._clock.elapsed()) > 0.0:
-            if self._stop:
-                raise ProfileBrokenOffError(self._stop)
-            time.sleep(min(remaining, _LOOK_SECONDS))
+        if self._stop.wait(seconds):
+            raise ProfileBrokenOffError(self._stop.why)
 
     def _look(self) -> None:
         """Whether the valve is still there; in the spinning thread, because the query takes a while."""
-        if self._is_watching and not self._stop and self._valve not in self._listeners():
-            self._stop = f"{self._valve} does not hear {self._voltage.topic_name} any more"
+        if self._is_watching and not self._stop.why and self._valve not in self._listeners():
+            self._stop.ask(f"{self._valve} does not hear {self._voltage.topic_name} any more")
 
     def _command(self, volts: float) -> int:
         stamp = self._clock.stamp()
@@ -165,16 +139,15 @@ class ProfileNode(RosNode):
             )
 
     def _switch_off(self) -> None:
-        """Send 0 V and wait until it and its log are received."""
+        """Send 0 V, wait until it and its log are received, and write what was commanded."""
         if not self._commanded:
             return
         if self._commanded[-1].volts != 0.0:
             self._commanded.append(Commanded(self._command(0.0), 0.0, 0.0))
         wait_until_heard((self._voltage, self._log))
+        self._write()
 
     def _write(self) -> None:
-        if not self._commanded:
-            return
         path = Path(self._settings.output).expanduser()
         logger = self._node.get_logger()
         try:

@@ -12,7 +12,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Container
 from typing import Any, Final, NamedTuple, Protocol
 
-from valve_sim.nodes.threads import StoppableThread
+from valve_sim.nodes.threads import Fail, StoppableThread
 
 NANOSECONDS: Final = 1_000_000_000
 LAST_STAMP: Final = 2**31 * NANOSECONDS - 1
@@ -181,8 +181,7 @@ class Worker(StoppableThread):
         rate: steps a second of the clock, Hz; `set_rate` changes it.
         prepare: called first, in the thread.
         restart: called before the first step, and whenever the clock jumped or was exchanged.
-        step: called with each deadline, ns of the clock.
-        fail: called with what went wrong, if anything did; the thread then ends.
+        step: called with each deadline, ns of the clock. fail: told what went wrong.
         may_step: whether steps up to a time of the clock, ns, can be made; those that cannot wait, and are dropped if
             they are overdue for longer than BACKLOG_SECONDS. Asked until `may_always_step`; default: always.
     """
@@ -195,17 +194,16 @@ class Worker(StoppableThread):
         prepare: Callable[[], None],
         restart: Callable[[Restart], None],
         step: Callable[[int], None],
-        fail: Callable[[Exception], None],
+        fail: Fail,
         may_step: Callable[[int], bool] | None = None,
     ) -> None:
-        super().__init__("valve stepper")
+        super().__init__("valve stepper", self._follow, fail)
         self.timing = TimingRecord()
         self._clock = clock
         self._rate = rate
         self._prepare = prepare
         self._restart = restart
         self._step = step
-        self._fail = fail
         self._may_step = may_step
 
     def set_rate(self, rate: float) -> None:
@@ -221,16 +219,8 @@ class Worker(StoppableThread):
         """Interrupt the wait for the next step."""
         self._clock.wake()
 
-    def run(self) -> None:
-        """The thread."""
-        try:
-            self._prepare()
-            self._follow()
-        except Exception as error:
-            if not self.is_stopping:
-                self._fail(error)
-
     def _follow(self) -> None:
+        self._prepare()
         pace = _Pace(self._clock, self._restart)
         while not self.is_stopping:
             schedule, may_step = pace.look(self._rate), self._may_step

@@ -16,8 +16,6 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from rclpy.callback_groups import CallbackGroup
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -25,33 +23,36 @@ from rclpy.subscription import Subscription
 
 from valve_sim.nodes.node_clock import NodeClock
 from valve_sim.nodes.realtime import Arrival
-from valve_sim.nodes.spinning import guarded, log_left_out
+from valve_sim.nodes.spinning import every, guarded, log_left_out
 
-MOST_STORED: Final = 10_000
+MOST_STORED: Final = 100_000
 """Messages of one topic that are kept between two deliveries; of more the oldest are dropped."""
 
 _BETWEEN_LOOKS: Final = 1.0
 """s from one look for publishers that cannot be heard to the next."""
 
 Take = Callable[[Any, Arrival], None]
-"""What is done with a message and with when it came."""
+"""A callback that takes a message and the time at which it was received."""
 
 
 class Source:
     """One topic that an inbox receives.
 
     Args:
-        topic: its full name. take: called for each message, in the thread that empties the inbox.
+        topic: its full name. message_type: of it. take: called for each message, in the thread that empties the inbox.
 
     Attributes:
-        topic, take: as given.
+        topic, take: as given. type: such as std_msgs/msg/Float64.
+        known_types: of its publishers, which were warned of where they are not its own.
         subscription: rclpy's own.
         stored: messages that the executor has called back with, each with its number among all of the inbox.
         incompatible_publishers: how many offer best effort where this topic is subscribed to reliably.
     """
 
-    def __init__(self, topic: str, take: Take) -> None:
+    def __init__(self, topic: str, message_type: type, take: Take) -> None:
         self.topic, self.take = topic, take
+        self.type = f"{message_type.__module__.partition('.')[0]}/msg/{message_type.__name__}"
+        self.known_types = {self.type}
         self.subscription: Subscription
         self.stored: deque[tuple[int, Any, Arrival]] = deque(maxlen=MOST_STORED)
         self.incompatible_publishers = 0
@@ -72,7 +73,7 @@ class Inbox:
         self._numbers = itertools.count()
         self._storing, self._delivering = threading.Lock(), threading.Lock()
         clock.when_exchanged(self._wake_executor)
-        node.create_timer(_BETWEEN_LOOKS, guarded(self._look), clock=Clock(clock_type=ClockType.STEADY_TIME))
+        every(node, _BETWEEN_LOOKS, self._look)
 
     @property
     def is_polled(self) -> bool:
@@ -87,7 +88,7 @@ class Inbox:
             take: called for each message by `deliver`. qos: of the subscription.
             raw: whether `take` is given the encoded message, as bytes.
         """
-        source = Source(self._node.resolve_topic_name(topic), take)
+        source = Source(self._node.resolve_topic_name(topic), message_type, take)
 
         def store(message: Any, info: Any) -> None:
             with self._storing:
@@ -110,28 +111,33 @@ class Inbox:
     def deliver(self) -> bool:
         """Have each message that has come taken; whether there were any.
 
-        Those that were stored are in the order in which they came. Of those that are polled, the topics that were
-        subscribed to first are delivered first, with whatever came before the last message of a later topic.
+        Those that the executor has stored are in the order in which they came. Of those that are polled, the topics
+        that were subscribed to first are delivered first, with whatever came before the last message of a later topic.
         """
         with self._delivering:
-            found: list[tuple[Source, Any, Arrival]] = []
-            if self.is_polled:
-                for source in reversed(self._sources):
-                    found[:0] = self._take_waiting(source)
-            if self._has_stored:
-                found[:0] = self._take_stored()
-            for source, message, arrival in found:
+            self.store_waiting()
+            if not self._has_stored:
+                return False
+            for source, message, arrival in self._take_stored():
                 if source in self._sources:
                     source.take(message, arrival)
-        return bool(found)
+        return True
 
     def forget(self) -> None:
-        """Drop all messages that wait."""
+        """Drop all messages that have come."""
         with self._delivering:
+            self.store_waiting()
             self._take_stored()
-            if self.is_polled:
-                for source in self._sources:
-                    self._take_waiting(source)
+
+    def store_waiting(self) -> None:
+        """Have what waits in the middleware, which holds as many as the topic's depth, wait here for a delivery."""
+        if not self.is_polled:
+            return
+        waiting = [(source, found) for source in reversed(self._sources) if (found := self._take_waiting(source))]
+        for source, found in reversed(waiting):
+            with self._storing:
+                source.stored += ((next(self._numbers), *one) for one in found)
+                self._has_stored = True
 
     def _take_stored(self) -> list[tuple[Source, Any, Arrival]]:
         with self._storing:
@@ -141,16 +147,16 @@ class Inbox:
                 source.stored.clear()
         return [(source, message, arrival) for _, source, message, arrival in sorted(stored, key=lambda one: one[0])]
 
-    def _take_waiting(self, source: Source) -> list[tuple[Source, Any, Arrival]]:
+    def _take_waiting(self, source: Source) -> list[tuple[Any, Arrival]]:
         subscription = source.subscription
         handle: Any = subscription.handle
-        found: list[tuple[Source, Any, Arrival]] = []
+        found: list[tuple[Any, Arrival]] = []
         try:
             while len(found) < MOST_STORED:
                 waiting = handle.take_message(subscription.msg_type, subscription.raw)
                 if waiting is None:
                     break
-                found.append((source, waiting[0], self._arrival(waiting[1])))
+                found.append((waiting[0], self._arrival(waiting[1])))
         except (AttributeError, TypeError):
             self._can_take = False  # this rclpy has another way; the executor's is the same in all
             self._wake_executor()
@@ -164,9 +170,14 @@ class Inbox:
     def _look(self) -> None:
         """Look for publishers that cannot be heard, and warn of them."""
         for source in self._sources:
+            found = self._node.get_publishers_info_by_topic(source.topic)
+            for other in {entry.topic_type for entry in found} - source.known_types:
+                source.known_types.add(other)
+                self._node.get_logger().warning(
+                    f"{source.topic}: a publisher sends {other} and cannot be heard; publish {source.type}"
+                )
             if source.subscription.qos_profile.reliability != ReliabilityPolicy.RELIABLE:
                 continue
-            found = self._node.get_publishers_info_by_topic(source.topic)
             before = source.incompatible_publishers
             source.incompatible_publishers = sum(
                 entry.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT for entry in found

@@ -141,7 +141,7 @@ class Replay(StoppableThread):
     """
 
     def __init__(self, clock: PaceClock, trace: Trace, *, rate: float, loop: bool, player: Player) -> None:
-        super().__init__("replay")
+        super().__init__("replay", self._replay, player.fail)
         self.timing = TimingRecord()
         self.passes = 0
         self.played = 0
@@ -164,22 +164,17 @@ class Replay(StoppableThread):
         """Interrupt the wait for the next sample."""
         self._clock.wake()
 
-    def run(self) -> None:
-        """The thread."""
-        try:
-            self._player.prepare()
-            self._stopping.wait(LISTENERS_SECONDS)
-            while not self.is_stopping:
-                is_whole = self._play()
-                self.passes += is_whole
-                if is_whole and not self._loop:
-                    break
-            self.is_done = not self.is_stopping
-            if self.is_done:
-                self._player.end()
-        except Exception as error:
-            if not self.is_stopping:
-                self._player.fail(error)
+    def _replay(self) -> None:
+        self._player.prepare()
+        self._stopping.wait(LISTENERS_SECONDS)
+        while not self.is_stopping:
+            is_whole = self._play()
+            self.passes += is_whole
+            if is_whole and not self._loop:
+                break
+        self.is_done = not self.is_stopping
+        if self.is_done:
+            self._player.end()
 
     def _play(self) -> bool:
         """Replay once; False if broken off because the clock jumped or the thread is to end."""

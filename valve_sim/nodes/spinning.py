@@ -1,23 +1,18 @@
-"""Spinning a node that survives messages which rclpy itself cannot take, in the main thread or beside it.
-
-In a thread beside it are the nodes whose main thread commands valves: there a signal only sets a flag.
-"""
+"""Spinning a node that survives messages which rclpy itself cannot take, and what is called back by."""
 
 from __future__ import annotations
 
 import functools
-import signal
-import threading
 import time
 from collections.abc import Callable, Iterable
-from types import FrameType
 from typing import Final, ParamSpec, TypeVar
 
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.signals import uninstall_signal_handlers
 
 _HEARD_SECONDS: Final = 0.8
 """s that a node waits at its end for its valves to acknowledge 0 V, all together."""
@@ -71,47 +66,9 @@ def log_left_out(node: Node, error: Exception) -> None:
     node.get_logger().error(f"a message was left out that ROS cannot take: {error!r}", throttle_duration_sec=1.0)
 
 
-class AnsweringThread:
-    """Answers ROS (parameters, topics, /clock) from `start` to `close`.
-
-    SIGINT and SIGTERM only call `stop`: a ROS context that they had shut down could not send 0 V any more.
-
-    Args:
-        node: is spun.
-        stop: called with the reason why the main thread shall end its work.
-        fail: called with what went wrong in the thread.
-    """
-
-    def __init__(self, node: Node, *, stop: Callable[[str], None], fail: Callable[[Exception], None]) -> None:
-        self._node = node
-        self._stop = stop
-        self._fail = fail
-        self._thread = threading.Thread(target=self._answer, name="answering", daemon=True)
-
-    def start(self) -> None:
-        """Take signals from now on, and answer; to be called in the main thread."""
-        uninstall_signal_handlers()
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._take_signal)
-        self._thread.start()
-
-    def close(self, timeout: float) -> bool:
-        """Shut ROS down; whether the thread has ended within so many seconds."""
-        self._node.context.try_shutdown()
-        if self._thread.ident is not None:
-            self._thread.join(timeout)
-        return not self._thread.is_alive()
-
-    def _take_signal(self, number: int, frame: FrameType | None) -> None:
-        self._stop(f"a signal came ({signal.Signals(number).name})")
-
-    def _answer(self) -> None:
-        try:
-            spin(self._node)
-        except ExternalShutdownException:
-            self._stop("ROS was shut down")
-        except Exception as error:
-            self._fail(error)
+def every(node: Node, seconds: float, call: Callable[[], None]) -> None:
+    """Call back by elapsed time, also while /clock stands still."""
+    node.create_timer(seconds, guarded(call), clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 
 def wait_until_heard(publishers: Iterable[Publisher]) -> None:

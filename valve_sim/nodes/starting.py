@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import inspect
 import itertools
 import os
+import re
 import signal
 import sys
 import tempfile
+import textwrap
 import threading
 import traceback
 from collections.abc import Callable, Iterator, Sequence
@@ -18,6 +21,7 @@ from typing import Any, Final, NoReturn, Protocol
 
 from valve_sim.files.parameter_files import valve_from_flat
 from valve_sim.files.parameter_sections import Section, read_sections
+from valve_sim.invocation import invocation
 from valve_sim.model.errors import ParameterError, ValveError
 from valve_sim.nodes.dds_profiles import installed_rclpy, offer_profile
 
@@ -28,6 +32,8 @@ STOP_SECONDS: Final = 0.3
 END_SECONDS: Final = 1.5
 """s after a signal at which a node is ended, whatever it does."""
 _PARAMETER_FLAG: Final = "--params-file"
+_CODE: Final = "    "
+"""Indentation of the commands in a usage."""
 
 
 GivenFiles = list[tuple[str, Section]]
@@ -48,18 +54,22 @@ class RunsAsNode(Protocol):
         """End every thread and release everything; whether each thread has ended within `timeout`, s."""
 
 
-def run_node(name: str, place: str, args: Sequence[str] | None) -> int:
+def run_node(name: str, place: str, args: Sequence[str] | None, usage: str = "") -> int:
     """Start a node, spin it, and return its exit code.
 
     Args:
         name: of the program, for messages.
         place: "module:Class" of the node, which is imported only after ROS was found; without it one line is printed.
         args: the command line with the program's own name first; default sys.argv.
+        usage: what --help prints; lines that begin with four spaces and the program's name are commands.
 
     Returns:
-        0 after SIGINT or SIGTERM, 1 if the node failed, 2 after one line on stderr about unusable input.
+        0 after --help, SIGINT or SIGTERM, 1 if the node failed, 2 after one line on stderr about unusable input.
     """
     arguments = list(sys.argv if args is None else args)
+    if _asks_for_help(arguments):
+        print(_as_typed(name, usage))
+        return 0
     signals = _Signals()
     try:
         with _ends_quietly():
@@ -76,6 +86,19 @@ def run_node(name: str, place: str, args: Sequence[str] | None) -> int:
         return 0
     signals.node = node
     return _spin(name, node)
+
+
+def _asks_for_help(arguments: Sequence[str]) -> bool:
+    """Whether --help or -h stands among what is not ROS's own."""
+    own = itertools.takewhile(lambda argument: argument != "--ros-args", arguments[1:])
+    return not {"-h", "--help"}.isdisjoint(own)
+
+
+def _as_typed(name: str, usage: str) -> str:
+    """A usage for a terminal: prose is wrapped, and commands name the program as it is called here."""
+    paragraphs = inspect.cleandoc(usage).split("\n\n")
+    wrapped = [words if words.startswith(_CODE) else textwrap.fill(words, 80) for words in paragraphs]
+    return re.sub(rf"^{_CODE}{name}\b", f"{_CODE}{invocation(name)}", "\n\n".join(wrapped), flags=re.MULTILINE)
 
 
 def read_files(arguments: Sequence[str]) -> GivenFiles:

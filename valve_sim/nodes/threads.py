@@ -1,28 +1,69 @@
-"""Threads that a node can ask to end."""
+"""The threads of a node: each can be asked to end, and each tells the node what went wrong in it."""
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import threading
 from collections.abc import Callable
 
 from valve_sim.model import Stepper, Valve
 
+Fail = Callable[[Exception], None]
+"""Told what went wrong in a thread, which ends then. What goes wrong in one that is to end anyway is not told."""
+
+
+class StopRequest:
+    """Whether the main thread shall end its work, and why.
+
+    A signal handler may ask for it. Of `threading.Event` the thread that it interrupts may just hold the inner lock,
+    and the handler would wait for that forever.
+
+    Attributes:
+        why: the first reason given; empty while there is none.
+    """
+
+    def __init__(self) -> None:
+        self.why = ""
+        self._unasked = threading.Lock()
+        self._unasked.acquire()
+
+    def ask(self, why: str) -> None:
+        """Ask the main thread to end its work; from any thread, and from a signal handler."""
+        self.why = self.why or why
+        with contextlib.suppress(RuntimeError):  # of a lock that is free: it was asked for before
+            self._unasked.release()
+
+    def wait(self, seconds: float | None = None) -> bool:
+        """Return when it is asked for, or after so many seconds; whether it is."""
+        if not self.why:
+            self._unasked.acquire(timeout=-1.0 if seconds is None else seconds)
+        return bool(self.why)
+
 
 class StoppableThread(threading.Thread):
-    """A daemon thread whose `run` returns soon after `stop` was called: it looks at `is_stopping`.
+    """A daemon thread whose work returns soon after `stop` was called: it looks at `is_stopping`.
 
     Attributes:
         is_stopping: whether `stop` was called.
 
     Args:
-        name: of the thread.
+        name: of the thread. work: is done once. fail: told what went wrong.
     """
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, work: Callable[[], None], fail: Fail) -> None:
         super().__init__(name=name, daemon=True)
         self.is_stopping = False
         self._stopping = threading.Event()
+        self._work, self._fail = work, fail
+
+    def run(self) -> None:
+        """The thread."""
+        try:
+            self._work()
+        except Exception as error:
+            if not self.is_stopping:
+                self._fail(error)
 
     def wake(self) -> None:
         """Interrupt what the thread waits for, if anything, so that it sees that it is to end."""
@@ -41,25 +82,16 @@ class Repeating(StoppableThread):
     """A thread that does something again and again, with pauses.
 
     Args:
-        name: of the thread.
-        act: is done. pause: s until it is done next.
-        fail: called with what went wrong, if anything did; the thread then ends.
+        name: of the thread. act: is done. pause: s until it is done next. fail: told what went wrong.
     """
 
-    def __init__(
-        self, name: str, act: Callable[[], object], pause: Callable[[], float], fail: Callable[[Exception], None]
-    ) -> None:
-        super().__init__(name)
-        self._act, self._pause, self._fail = act, pause, fail
+    def __init__(self, name: str, act: Callable[[], object], pause: Callable[[], float], fail: Fail) -> None:
+        super().__init__(name, self._repeat, fail)
+        self._act, self._pause = act, pause
 
-    def run(self) -> None:
-        """The thread."""
-        try:
-            while not self._stopping.wait(self._pause()):
-                self._act()
-        except Exception as error:
-            if not self.is_stopping:
-                self._fail(error)
+    def _repeat(self) -> None:
+        while not self._stopping.wait(self._pause()):
+            self._act()
 
 
 def load_stepper(valve: Valve) -> None:
@@ -73,23 +105,3 @@ def load_stepper(valve: Valve) -> None:
     stepper.advance(3e-3)
     # What is loaded now stays; collecting it as garbage would stop the thread that steps for tens of milliseconds.
     gc.freeze()
-
-
-class ModelLoader(StoppableThread):
-    """A thread that makes the model ready; while it compiles it cannot be stopped.
-
-    Args:
-        load: does it. fail: called with what went wrong, if anything did.
-    """
-
-    def __init__(self, load: Callable[[], None], fail: Callable[[Exception], None]) -> None:
-        super().__init__("model loader")
-        self._load, self._fail = load, fail
-
-    def run(self) -> None:
-        """The thread."""
-        try:
-            self._load()
-        except Exception as error:
-            if not self.is_stopping:
-                self._fail(error)

@@ -2,7 +2,7 @@
 
 Threads: callbacks run in the main thread, and only store (parameters, resets, and what an `Inbox` receives). One
 `Worker` thread empties the inbox, steps the valve and publishes; it consumes what was stored, each at its own time.
-Until a `ModelLoader` thread has the model ready, it publishes that the valve rests, and from a request on it waits.
+Until the loading thread has the model ready, it publishes that the valve rests, and from a request on it waits.
 """
 
 from __future__ import annotations
@@ -10,36 +10,26 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Iterator, Sequence
+from datetime import datetime, timezone
+from functools import partial
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
-from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.files.parameter_sections import Section
 from valve_sim.model import ParameterError, Phase, Valve
 from valve_sim.nodes import topics
-from valve_sim.nodes.diagnostics import (
-    CommandFacts,
-    Level,
-    RejectionCount,
-    Reminder,
-    Status,
-    ValveFacts,
-    command_status,
-    timing_status,
-    valve_status,
-)
-from valve_sim.nodes.gas_topics import BETWEEN_WARNINGS, GasTopics
+from valve_sim.nodes.diagnostics import Level, Reminder, Status, command_status, timing_status, valve_status
+from valve_sim.nodes.gas_topics import BETWEEN_WARNINGS, GasTopics, ObeyedTopic
 from valve_sim.nodes.live_valve import LiveValve, Step, self_test
 from valve_sim.nodes.messages import IS_OPEN, PHASE, ReadingMessages
-from valve_sim.nodes.node_clock import NodeClock
 from valve_sim.nodes.parameters import Value, as_declared, changed_words, settings_of
-from valve_sim.nodes.realtime import NANOSECONDS, Arrival, Restart, SubscriberCounts, Worker
+from valve_sim.nodes.realtime import NANOSECONDS, Restart, SubscriberCounts, Worker
 from valve_sim.nodes.receiving import Inbox
 from valve_sim.nodes.spinning import guarded
-from valve_sim.nodes.threads import ModelLoader, load_stepper
+from valve_sim.nodes.threads import StoppableThread, load_stepper
 from valve_sim.nodes.valve_parameters import (
     TOLERANCES,
     VALVE_KEYS,
@@ -49,13 +39,13 @@ from valve_sim.nodes.valve_parameters import (
     valve_of,
     with_tolerances,
 )
-from valve_sim.nodes.wiring import Diagnostics, DuplicateNodes, Interface, RosNode, declared
+from valve_sim.nodes.wiring import DuplicateNodes, Interface, RosNode, declared
 
 
 class ValveNode(RosNode):
     """The node `valve`, with the topics and services `topics.VALVE`, and `topics.GAS` from when gas is declared.
 
-    Parameters: the table of `valve_parameters`; all can be set at run time.
+    Parameters: the table of `valve_parameters`; all but `calibration` can be set at run time.
 
     Args:
         sections: (file, section) of the parameter files on the command line.
@@ -68,15 +58,14 @@ class ValveNode(RosNode):
         super().__init__("valve")
         self._table = table(default_valve())
         self._settings = self._declare(sections)
-        self._clock = NodeClock(self._node)
         self._live = LiveValve(
             self._current_valve(),
             scale=self._settings.time_scale,
             command_timeout=self._settings.command_timeout,
             max_voltage=self._settings.max_voltage,
         )
+        self._calibration = self._watched_calibration(self._settings.calibration, self._live.valve)
         self._inbox = Inbox(self._node, self._clock)
-        self._commands = RejectionCount()
         self._gas: GasTopics | None = None
         self._duplicates = DuplicateNodes(self._node)
         self._failure = ""
@@ -94,22 +83,14 @@ class ValveNode(RosNode):
             fail=self._fail,
             may_step=self._may_step,
         )
-        self._loader = ModelLoader(self._load, self._fail)
+        self._loader = StoppableThread("model loader", self._load, self._fail)  # which cannot end while it compiles
+        self._threads += (self._worker, self._loader)
 
     def spin(self) -> None:
         """Run until ROS is shut down."""
-        for thread in (self._loader, self._worker):
-            thread.start()
+        self._loader.start()
+        self._worker.start()
         super().spin()
-
-    def close(self, timeout: float) -> bool:
-        """Stop and release everything; whether all threads have ended. The loader cannot while it compiles."""
-        # Whoever publishes must have ended before the node is destroyed; the loader does not.
-        are_silent = self._worker.stop(timeout)
-        is_loaded = self._loader.stop(timeout)
-        if are_silent:
-            self._node.destroy_node()
-        return are_silent and is_loaded
 
     # --- wiring ---
 
@@ -135,15 +116,16 @@ class ValveNode(RosNode):
         self._subscribers = SubscriberCounts(*(publisher.get_subscription_count for publisher in sampled))
         self._phase = interface.publisher("~/phase")
         self._is_open = interface.publisher("~/is_open")
-        self._voltage = interface.receive(self._inbox, "~/coil_voltage", self._take_command)
+        self._voltage = ObeyedTopic(
+            self._node, self._clock, partial(interface.receive, self._inbox, "~/coil_voltage"), "data", "V",
+            self._live.command, self._expected_voltage, "command",
+        )  # fmt: skip
         if self._live.valve.gas is not None:
             self._gas = self._wire_gas()
         interface.serve("~/reset", guarded(self._reset))
         interface.serve("~/self_test", guarded(self._self_test))
         self._too_busy = Reminder()
-        self._diagnostics = Diagnostics(
-            self._node, interface.publisher("/diagnostics"), self._clock, lambda: [*self._statuses()]
-        )
+        self._publish_diagnostics(interface, self._statuses)
 
     def _wire_gas(self) -> GasTopics:
         return GasTopics(self._node, self._inbox, self._clock, self._live, self._messages)
@@ -165,7 +147,7 @@ class ValveNode(RosNode):
         limit, rate = self._settings.max_voltage, self._settings.publish_rate
         gas = "" if self._gas is None else f"; {self._gas.words()}"
         self._node.get_logger().info(
-            f"ready: obeys {self._voltage.topic} (V, ±{limit:g} at most), publishes "
+            f"ready: obeys {self._voltage.source.topic} (V, ±{limit:g} at most), publishes "
             f"{self._joint_states.topic_name}, {self._coil.topic_name} and {self._coil_current.topic_name} "
             f"at {rate:g} Hz, "
             f"{self._phase.topic_name} and {self._is_open.topic_name} on change{gas}{waits}"
@@ -241,28 +223,15 @@ class ValveNode(RosNode):
                 self._said_open = is_open
                 self._is_open.publish(IS_OPEN[phase])
 
-    def _take_command(self, message: Float64, arrival: Arrival) -> None:
-        if self._live.command(self._clock.time_of(arrival), message.data):
-            self._commands.accept()
-            return
-        self._commands.reject(message.data)
-        limit = self._settings.max_voltage
-        self._node.get_logger().warning(
-            f"{self._voltage.topic}: {message.data:g} V is ignored, expected a number within ±{limit:g} V "
-            "(parameter max_voltage); the last good command stays",
-            throttle_duration_sec=BETWEEN_WARNINGS,
-        )
+    def _expected_voltage(self) -> str:
+        return f"a number within ±{self._settings.max_voltage:g} V (parameter max_voltage)"
 
     # --- callbacks, in the main thread ---
-
-    def _now(self) -> int:
-        reading = self._clock.read()
-        return 0 if reading is None else reading.nanoseconds
 
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._inbox.deliver()  # what came before it
         self._live.reset(self._now())
-        self._commands.accept()
+        self._voltage.count.accept()
         self._failure = ""
         self._node.get_logger().info("reset: the valve rests closed, without current")
         response.success = True
@@ -292,12 +261,13 @@ class ValveNode(RosNode):
             if line:
                 self._node.get_logger().warning(line)
         yield timing
-        age = math.nan if live.last_command is None else (now - live.last_command) / NANOSECONDS
-        rejections, unheard = self._commands.rejections(), self._voltage.incompatible_publishers
-        yield command_status(CommandFacts(age, live.volts, rejections, live.timed_out, live.withdrawn, unheard))
-        yield valve_status(ValveFacts(live.phase, live.strokes, live.failures, self._failure, self._duplicates.look()))
+        heard = self._voltage
+        yield command_status(live, now, heard.count.rejections(), heard.source.incompatible_publishers)
+        yield valve_status(live, self._failure, self._duplicates.look())
         if self._gas is not None:
             yield from self._gas.statuses()
+        if self._calibration is not None:
+            yield self._calibration.status(datetime.now(timezone.utc))
 
     # --- parameters ---
 
@@ -344,6 +314,8 @@ class ValveNode(RosNode):
         if any(name.startswith(VALVE_KEYS) for name in names - {TOLERANCES}):
             valve = self._current_valve()
             self._live.set_valve(now, valve)
+            if self._calibration is not None:
+                self._calibration.note(valve, datetime.now(timezone.utc))
             if valve.gas is not None and self._gas is None:
                 self._gas = self._wire_gas()
             if self._is_ready:

@@ -35,6 +35,7 @@ class Settings(NamedTuple):
     command_timeout: float = 0.0
     max_voltage: float = 30.0
     frame_id: str = ""
+    calibration: str = ""
 
 
 _SETTINGS: Final = table_of(
@@ -46,6 +47,12 @@ _SETTINGS: Final = table_of(
     Parameter("command_timeout", "s", "without a command for so long, the coil is de-energised; 0: never", 0, 1e6),
     Parameter("max_voltage", "V", "commands beyond it, either sign, are ignored and counted", 0, 1e4),
     Words("frame_id", "header.frame_id of the joint states"),
+    Words(
+        "calibration",
+        "calibration.json of `valve-sim commission`: what the valve has otherwise, at the start and when it is set, "
+        "is appended to its journal; empty: none",
+        read_only=True,
+    ),
     read_only=False,
 )
 

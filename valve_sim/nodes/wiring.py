@@ -3,27 +3,27 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any, Protocol
 
-from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.callback_groups import CallbackGroup
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.expand_topic_name import expand_topic_name
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from valve_sim.files.parameter_sections import Section
-from valve_sim.model import ParameterError
+from valve_sim.model import ParameterError, Valve
+from valve_sim.nodes.calibration_watch import CalibrationWatch
 from valve_sim.nodes.diagnostics import Status
 from valve_sim.nodes.messages import diagnostic_array
 from valve_sim.nodes.node_clock import NodeClock
 from valve_sim.nodes.parameters import NodeParameter, Table, Value, files_for_others, is_of_ros, sources_of
 from valve_sim.nodes.receiving import Inbox, Source, Take
-from valve_sim.nodes.spinning import guarded, spin
+from valve_sim.nodes.spinning import every, spin
 from valve_sim.nodes.topics import Qos, Topic
 
 Check = Callable[[Mapping[str, object], Mapping[str, str]], Any]
@@ -178,25 +178,6 @@ def profile(qos: Qos | None) -> QoSProfile:
     )
 
 
-class Diagnostics:
-    """What a node says of itself on /diagnostics, once a second of wall time, so that a silent /clock is reported too.
-
-    Args:
-        node: says it. publisher: of the topic. clock: stamps. statuses: what there is to say now.
-    """
-
-    def __init__(
-        self, node: Node, publisher: Publisher, clock: NodeClock, statuses: Callable[[], Sequence[Status]]
-    ) -> None:
-        self._node, self._publisher, self._clock, self._statuses = node, publisher, clock, statuses
-        node.create_timer(1.0, guarded(self._say), clock=Clock(clock_type=ClockType.STEADY_TIME))
-
-    def _say(self) -> None:
-        name = self._node.get_fully_qualified_name()
-        message: DiagnosticArray = diagnostic_array(self._statuses(), name, self._clock.stamp())
-        self._publisher.publish(message)
-
-
 class DuplicateNodes:
     """Looks for other nodes with the name of a node; logs each change of their number.
 
@@ -224,8 +205,15 @@ class DuplicateNodes:
         return others
 
 
+class Stops(Protocol):
+    """What runs beside a node, such as a thread."""
+
+    def stop(self, timeout: float) -> bool:
+        """Ask it to end; whether it has ended within `timeout`, s."""
+
+
 class RosNode:
-    """What the nodes of this package have in common.
+    """What the nodes of this package have in common: a node, its clock, what runs beside it, and their end.
 
     Args:
         name: of the node, unless ROS is told another.
@@ -233,7 +221,10 @@ class RosNode:
 
     def __init__(self, name: str) -> None:
         self._node = make_node(name)
+        self._clock = NodeClock(self._node)
         self._exit_code = 0
+        self._threads: list[Stops] = []
+        """What is asked to end at the node's end, in this order."""
 
     @property
     def exit_code(self) -> int:
@@ -244,9 +235,44 @@ class RosNode:
         """Run until ROS is shut down."""
         spin(self._node)
 
+    def close(self, timeout: float) -> bool:
+        """Ask all threads to end and release the node; whether each has ended within `timeout`, s.
+
+        A thread that calculates for longer finds no node any more, and ends with the process.
+        """
+        have_ended = [thread.stop(timeout) for thread in self._threads]
+        self._node.destroy_node()
+        return all(have_ended)
+
+    def _now(self) -> int:
+        """Time of the node's clock, ns; 0 before the first /clock."""
+        reading = self._clock.read()
+        return 0 if reading is None else reading.nanoseconds
+
+    def _publish_diagnostics(self, interface: Interface, statuses: Callable[[], Iterable[Status]]) -> None:
+        """Say what there is to say once a second of wall time, so that a silent /clock is reported too."""
+        name, publisher = self._node.get_fully_qualified_name(), interface.publisher("/diagnostics")
+        every(self._node, 1.0, lambda: publisher.publish(diagnostic_array(statuses(), name, self._clock.stamp())))
+
+    def _watched_calibration(self, path: str, valve: Valve) -> CalibrationWatch | None:
+        """The calibration record at a path, with what is declared otherwise noted; None where the path is empty.
+
+        Raises:
+            ValveError: the record, or its journal, cannot be used.
+        """
+        if not path:
+            return None
+        logger, name = self._node.get_logger(), self._node.get_fully_qualified_name()
+        watch = CalibrationWatch(Path(path).expanduser(), name, logger.warning)
+        watch.note(valve, datetime.now(timezone.utc))
+        return watch
+
     def _fail(self, error: Exception) -> None:
         """End the node, whichever of its threads cannot go on."""
+        self._log_failure(error)
+        self._node.context.try_shutdown()
+
+    def _log_failure(self, error: Exception) -> None:
         if self._node.context.ok():
             self._exit_code = 1
             self._node.get_logger().fatal(f"the node cannot go on: {error!r}")
-            self._node.context.try_shutdown()

@@ -7,6 +7,8 @@ the digest of the one before.
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
@@ -208,6 +210,11 @@ def append_changes(record: Path, new: Sequence[Change]) -> None:
     Raises:
         ValveError: the record or its journal cannot be used or written.
     """
+    with _locked(record):
+        _append(record, new)
+
+
+def _append(record: Path, new: Sequence[Change]) -> None:
     base, changes = load_record(record), load_changes(record)
     entries, previous = [], base.digest
     for entry in (*changes, *new):
@@ -243,11 +250,20 @@ def load_changes(record: Path) -> tuple[Change, ...]:
     return tuple(changes)
 
 
-def note_changes(record: Path, declared: Mapping[str, float | None], by: str, now: datetime) -> tuple[Change, ...]:
-    """Append to the journal in what a valve's declared numbers differ from the record and its journal.
+def note_changes(
+    record: Path,
+    declared: Mapping[str, float | None],
+    by: str,
+    now: datetime,
+    known: Mapping[str, float | None] | None = None,
+) -> tuple[Change, ...]:
+    """Append to the journal in what a valve's declared numbers differ from those that are known.
+
+    Several processes may do so at once: each waits for the one before.
 
     Args:
         record: the file. declared: see `declared_numbers`. by: who uses them. now: in UTC.
+        known: what the same user declared before; None: what the record and its journal say.
 
     Returns:
         what was appended; nothing where nothing differs.
@@ -255,19 +271,31 @@ def note_changes(record: Path, declared: Mapping[str, float | None], by: str, no
     Raises:
         ValveError: the record or its journal cannot be used or written.
     """
-    known = dict(load_record(record).declared)
-    for change in load_changes(record):
-        known[change.parameter] = change.after
-    names = {**known, **declared}
-    at = now.astimezone(timezone.utc).strftime("%Y-%m-%dT%H:%M:%SZ")
-    new = tuple(
-        Change(at, by, name, known.get(name), declared.get(name))
-        for name in names
-        if known.get(name) != declared.get(name)
-    )
-    if new:
-        append_changes(record, new)
+    with _locked(record):
+        if known is None:
+            journal = {change.parameter: change.after for change in load_changes(record)}
+            known = {**load_record(record).declared, **journal}
+        at = now.astimezone(timezone.utc).strftime("%Y-%m-%dT%H:%M:%SZ")
+        new = tuple(
+            Change(at, by, name, known.get(name), declared.get(name))
+            for name in {**known, **declared}
+            if known.get(name) != declared.get(name)
+        )
+        if new:
+            _append(record, new)
     return new
+
+
+@contextlib.contextmanager
+def _locked(record: Path) -> Iterator[None]:
+    """Nobody else appends to the journal meanwhile."""
+    try:
+        file = record.open("rb")
+    except OSError as error:
+        raise ValveError(f"{record}: cannot be read ({error.strerror}); give another file") from error
+    with file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
 
 
 def read_sensors(path: Path) -> tuple[Sensor, ...]:

@@ -9,14 +9,12 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from std_srvs.srv import Trigger
 
 from valve_sim.files.parameter_sections import Section
 from valve_sim.files.whole_files import refuse_unwritable
 from valve_sim.model.errors import ValveError
-from valve_sim.nodes.spinning import guarded
+from valve_sim.nodes.spinning import every, guarded
 from valve_sim.nodes.wiring import Interface, RosNode, declared, full_name
 from valve_sim.records.archive import Archive
 from valve_sim.station.archive_tables import PARAMETERS, TOPICS, ArchiveSettings, archive_settings
@@ -43,22 +41,18 @@ class ArchiveNode(RosNode):
 
     def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
         super().__init__("archive")
-        try:
-            settings: ArchiveSettings = declared(self._node, sections, PARAMETERS, archive_settings)
-            folder = Path(settings.folder).expanduser()
-            refuse_unwritable(folder / "strokes")
-            self._archive = Archive(folder, settings.years, int(1e6 * settings.megabytes))
-            self._keeper, self._prune_at = Keeper(self._archive), time.monotonic()
-            valves = [full_name(self._node, name, "valves") for name in settings.valves]
-            monitors = [full_name(self._node, name, "monitors") for name in settings.monitors]
-            self._ear = StationEar(self._node, TOPICS, valves, monitors, self._take, is_live=False)
-            interface = Interface(self._node, TOPICS)
-            for valve in valves:
-                interface.serve("{valve}/serviced", guarded(partial(self._note_service, valve)), valve=valve)
-            self._node.create_timer(_PERIOD, guarded(self._look), clock=Clock(clock_type=ClockType.STEADY_TIME))
-        except BaseException:
-            self._node.destroy_node()
-            raise
+        settings: ArchiveSettings = declared(self._node, sections, PARAMETERS, archive_settings)
+        folder = Path(settings.folder).expanduser()
+        refuse_unwritable(folder / "strokes")
+        self._archive = Archive(folder, settings.years, int(1e6 * settings.megabytes))
+        self._keeper, self._prune_at = Keeper(self._archive), time.monotonic()
+        valves = [full_name(self._node, name, "valves") for name in settings.valves]
+        monitors = [full_name(self._node, name, "monitors") for name in settings.monitors]
+        interface = Interface(self._node, TOPICS)
+        self._ear = StationEar(self._node, self._clock, interface, valves, monitors, self._take, is_live=False)
+        for valve in valves:
+            interface.serve("{valve}/serviced", guarded(partial(self._note_service, valve)), valve=valve)
+        every(self._node, _PERIOD, self._look)
         self._node.get_logger().info(f"ready: keeps what is said of {len(valves)} valves in {folder}")
 
     def close(self, timeout: float) -> bool:
@@ -67,8 +61,7 @@ class ArchiveNode(RosNode):
             self._archive.flush()
         except ValveError as error:
             print(f"archive_node: what was not written yet is lost: {error}")
-        self._node.destroy_node()
-        return True
+        return super().close(timeout)
 
     def _take(self, report: Report) -> None:
         self._keeper.take(report, time.monotonic())

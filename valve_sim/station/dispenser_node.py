@@ -15,12 +15,11 @@ from sensor_msgs.msg import FluidPressure
 from std_msgs.msg import Float64
 
 from valve_sim.files.parameter_sections import Section
-from valve_sim.nodes.node_clock import NodeClock
+from valve_sim.nodes.commanding import CommandingNode
 from valve_sim.nodes.realtime import NANOSECONDS, Arrival, Restart, Worker
 from valve_sim.nodes.receiving import Inbox
 from valve_sim.nodes.starting import STOP_SECONDS
 from valve_sim.nodes.wiring import Interface, declared, full_name
-from valve_sim.station.commanding import CommandingNode
 from valve_sim.station.dispenser import Dispensed, Dispenser
 from valve_sim.station.dispenser_tables import PARAMETERS, TOPICS, Settings, dispenser_settings
 
@@ -44,7 +43,6 @@ class DispenserNode(CommandingNode):
         super().__init__("dispenser")
         self._settings: Settings = declared(self._node, sections, PARAMETERS, dispenser_settings)
         self._dispenser = Dispenser(self._settings)
-        self._clock = NodeClock(self._node)
         self._inbox = Inbox(self._node, self._clock)
         self._wire()
         self._zero = 0
@@ -56,21 +54,12 @@ class DispenserNode(CommandingNode):
             step=self._step,
             fail=self._fail,
         )
+        self._threads.append(self._worker)  # which cannot end while it compiles
 
-    def spin(self) -> None:
-        """Run until a signal comes; 0 V is the last command to every valve."""
-        self._answering.start()
+    def _work(self) -> None:
         self._worker.start()
-        self._stop.wait()
+        super()._work()
         self._worker.stop(STOP_SECONDS)
-        self._switch_off()
-
-    def close(self, timeout: float) -> bool:
-        """Release everything; whether all threads have ended. The stepping one cannot while it compiles."""
-        have_ended = [self._answering.close(timeout), self._worker.stop(timeout)]
-        if all(have_ended):
-            self._node.destroy_node()
-        return all(have_ended)
 
     def _wire(self) -> None:
         interface = Interface(self._node, TOPICS)

@@ -15,7 +15,6 @@ from valve_sim.model.errors import ValveError
 from valve_sim.nodes.node_clock import NodeClock
 from valve_sim.nodes.realtime import NANOSECONDS, Arrival
 from valve_sim.nodes.receiving import Inbox
-from valve_sim.nodes.topics import Topic
 from valve_sim.nodes.wiring import Interface
 from valve_sim.station.figures import Report, Values, finding_report, stroke_report, utc, worst
 
@@ -24,7 +23,7 @@ class StationEar:
     """What is said of the valves of a station, heard when its node looks, a few times a second.
 
     Args:
-        node: subscribes. topics: its table.
+        node: subscribes. clock, interface: of it.
         valves, monitors: full names of their nodes, in one order.
         tell: is handed each report.
         is_live: whether to hear phase, is_open, current and pressure of the valves, too.
@@ -33,7 +32,8 @@ class StationEar:
     def __init__(
         self,
         node: Node,
-        topics: Sequence[Topic],
+        clock: NodeClock,
+        interface: Interface,
         valves: Sequence[str],
         monitors: Sequence[str],
         tell: Callable[[Report], None],
@@ -42,7 +42,7 @@ class StationEar:
     ) -> None:
         self._node, self._tell = node, tell
         self._pairs = list(zip(valves, monitors, strict=True))
-        self._inbox, interface = Inbox(node, NodeClock(node)), Interface(node, topics)
+        self._inbox = Inbox(node, clock)
         for valve, monitor in self._pairs:
             take = partial(self._take_stroke, valve)
             interface.receive(self._inbox, "{monitor}/stroke_report", take, monitor=monitor)

@@ -16,14 +16,14 @@ SAID: Final = (
     Topic("{monitor}/finding", "diagnostic_msgs/msg/DiagnosticArray", "in", "what has changed", qos=LATCHED),
     Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", "in", "of valves and monitors", qos=Qos(100)),
 )
-"""What monitors and valves say."""
+"""Topics of monitors and valves that are subscribed to."""
 LIVE: Final = (
     Topic("{valve}/phase", "std_msgs/msg/UInt8", "in", "of the stroke", qos=LATCHED),
     Topic("{valve}/is_open", "std_msgs/msg/Bool", "in", "whether the flow path is fully open", qos=LATCHED),
     Topic("{valve}/coil_current", "std_msgs/msg/Float64", "in", "by which it is known to live", "A", LATEST),
     Topic("{valve}/outlet_pressure", "sensor_msgs/msg/FluidPressure", "in", "behind a valve with gas", "Pa", LATEST),
 )
-"""What a valve says often."""
+"""Topics of a valve that are published often; only the latest message counts."""
 
 
 def check_one_each(valves: Sequence[str], **lists: Sequence[str]) -> None:

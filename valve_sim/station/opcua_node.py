@@ -12,14 +12,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from std_srvs.srv import Trigger
 
 from valve_sim.files.parameter_sections import Section
 from valve_sim.model.errors import ValveError
-from valve_sim.nodes.spinning import guarded
-from valve_sim.nodes.wiring import RosNode, declared, full_name
+from valve_sim.nodes.spinning import every
+from valve_sim.nodes.wiring import Interface, RosNode, declared, full_name
 from valve_sim.station.hearing import StationEar
 from valve_sim.station.opcua_server import ServedValve, ServerThread, Settings, StationServer
 from valve_sim.station.opcua_tables import PARAMETERS, TOPICS, OpcUaSettings, opcua_settings
@@ -45,42 +43,31 @@ class OpcUaNode(RosNode):
 
     def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
         super().__init__("opcua")
-        try:
-            settings: OpcUaSettings = declared(self._node, sections, PARAMETERS, opcua_settings)
-            self._valves = [full_name(self._node, name, "valves") for name in settings.valves]
-            self._monitors = [full_name(self._node, name, "monitors") for name in settings.monitors]
-            self._services: dict[tuple[str, str], Any] = {}
-            for valve, monitor in zip(self._valves, self._monitors, strict=True):
-                self._services["recommission", valve] = self._node.create_client(Trigger, f"{monitor}/recommission")
-                self._services["self_test", valve] = self._node.create_client(Trigger, f"{valve}/self_test")
-            folder = Path(settings.folder).expanduser()
-            served = [
-                ServedValve(name, serial) for name, serial in zip(self._valves, settings.serial_numbers, strict=True)
-            ]
-            server = StationServer(
-                Settings(folder, settings.address, settings.port, settings.anonymous_read, settings.history_days),
-                served,
-                recommission=partial(self._call, "recommission"),
-                self_test=partial(self._call, "self_test"),
-            )
-            self._thread = ServerThread(server, self._fail)
-            self._thread.start()
-            ear = StationEar(self._node, TOPICS, self._valves, self._monitors, self._thread.put, is_live=True)
-            steady = Clock(clock_type=ClockType.STEADY_TIME)
-            self._node.create_timer(_PERIOD, guarded(ear.look), clock=steady)
-        except BaseException:
-            self._node.destroy_node()
-            raise
+        settings: OpcUaSettings = declared(self._node, sections, PARAMETERS, opcua_settings)
+        valves = [full_name(self._node, name, "valves") for name in settings.valves]
+        monitors = [full_name(self._node, name, "monitors") for name in settings.monitors]
+        self._services: dict[tuple[str, str], Any] = {}
+        for valve, monitor in zip(valves, monitors, strict=True):
+            self._services["recommission", valve] = self._node.create_client(Trigger, f"{monitor}/recommission")
+            self._services["self_test", valve] = self._node.create_client(Trigger, f"{valve}/self_test")
+        folder = Path(settings.folder).expanduser()
+        served = [ServedValve(*one) for one in zip(valves, settings.serial_numbers, strict=True)]
+        server = StationServer(
+            Settings(folder, settings.address, settings.port, settings.anonymous_read, settings.history_days),
+            served,
+            recommission=partial(self._call, "recommission"),
+            self_test=partial(self._call, "self_test"),
+        )
+        thread = ServerThread(server, self._fail)
+        thread.start()
+        self._threads.append(thread)
+        interface = Interface(self._node, TOPICS)
+        ear = StationEar(self._node, self._clock, interface, valves, monitors, thread.put, is_live=True)
+        every(self._node, _PERIOD, ear.look)
         self._node.get_logger().info(
             f"ready: {server.endpoint}, {len(served)} valves; clients connect whose certificates are in "
             f"{folder / 'trusted'}; those of others are kept in {folder / 'rejected'}"
         )
-
-    def close(self, timeout: float) -> bool:
-        """End the server and release everything; whether it has ended."""
-        has_ended = self._thread.stop(timeout)
-        self._node.destroy_node()
-        return has_ended
 
     # --- methods, in the server's thread ---
 

@@ -521,7 +521,7 @@ class ServerThread:
 
 
 def _fields(alarm: Alarm) -> Mapping[str, Any]:
-    """What of an alarm its node shows and its events carry."""
+    """The fields of an alarm that its node shows and its events carry."""
     texts, flags = ua.VariantType.LocalizedText, ua.VariantType.Boolean
     fields = {
         "EventId": ua.Variant(alarm.event.encode("ascii"), ua.VariantType.ByteString),

@@ -36,7 +36,7 @@ class Register(NamedTuple):
 
     @property
     def width(self) -> int:
-        """How many registers it takes."""
+        """Number of registers that it takes."""
         return 2 if self.kind == "FLOAT32" else 1
 
 
@@ -127,7 +127,7 @@ class Coil:
 
 
 class _Heard:
-    """What was heard of a valve last."""
+    """The last messages that were received of a valve."""
 
     def __init__(self) -> None:
         self.phase: int | None = None
@@ -164,7 +164,7 @@ class PlcStation:
 
     @property
     def count(self) -> int:
-        """How many registers the map has."""
+        """Number of registers of the map."""
         return SPACING * len(self.valves)
 
     def hear(

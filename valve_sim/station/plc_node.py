@@ -17,11 +17,10 @@ from std_msgs.msg import Float64
 
 from valve_sim.files.parameter_sections import Section
 from valve_sim.files.whole_files import write_whole
-from valve_sim.nodes.node_clock import NodeClock
+from valve_sim.nodes.commanding import CommandingNode
 from valve_sim.nodes.realtime import Arrival
 from valve_sim.nodes.receiving import Inbox
 from valve_sim.nodes.wiring import Interface, declared, full_name
-from valve_sim.station.commanding import CommandingNode
 from valve_sim.station.hearing import hear_live
 from valve_sim.station.modbus import PlcClient, PlcServer, Side, SideThread
 from valve_sim.station.plc import PlcStation, map_csv
@@ -42,23 +41,20 @@ class PlcNode(CommandingNode):
 
     def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
         super().__init__("plc")
-        try:
-            settings: PlcSettings = declared(self._node, sections, PARAMETERS, plc_settings)
-            self._settings = settings
-            self._valves = [full_name(self._node, name, "valves") for name in settings.valves]
-            self._inbox = Inbox(self._node, NodeClock(self._node))
-            self._was_on = [False] * len(self._valves)
-            self._station = PlcStation(
-                self._valves, settings.watchdog, changed=self._command, low_word_first=settings.low_word_first
-            )
-            self._wire()
-            if settings.map_file:
-                write_whole(Path(settings.map_file).expanduser(), map_csv(self._valves))
-            self._side = SideThread(self._make_side())
-            self._side.start()
-        except BaseException:
-            self._node.destroy_node()
-            raise
+        settings: PlcSettings = declared(self._node, sections, PARAMETERS, plc_settings)
+        self._settings = settings
+        self._valves = [full_name(self._node, name, "valves") for name in settings.valves]
+        self._inbox = Inbox(self._node, self._clock)
+        self._was_on = [False] * len(self._valves)
+        self._station = PlcStation(
+            self._valves, settings.watchdog, changed=self._command, low_word_first=settings.low_word_first
+        )
+        self._wire()
+        if settings.map_file:
+            write_whole(Path(settings.map_file).expanduser(), map_csv(self._valves))
+        side = SideThread(self._make_side())
+        side.start()
+        self._threads.insert(0, side)
         place = f"{settings.plc_host or settings.address}:{settings.port}"
         role = f"polls the PLC at {place}" if settings.plc_host else f"the PLC polls {place}"
         self._node.get_logger().info(
@@ -66,27 +62,14 @@ class PlcNode(CommandingNode):
             f"{settings.watchdog:g} s"
         )
 
-    def spin(self) -> None:
-        """Run until a signal comes; 0 V is the last command to every valve."""
-        self._answering.start()
+    def _work(self) -> None:
         period, due = 1.0 / self._settings.rate, time.monotonic()
-        try:
-            while not self._stop.is_set():
-                self._inbox.deliver()
-                self._station.beat()
-                for valve in range(len(self._valves)):
-                    self._command(valve)
-                due = max(due + period, time.monotonic())
-                self._stop.wait(max(0.0, due - time.monotonic()))
-        finally:
-            self._switch_off()
-
-    def close(self, timeout: float) -> bool:
-        """Release everything; whether all threads have ended."""
-        have_ended = [self._side.stop(timeout), self._answering.close(timeout)]
-        if all(have_ended):
-            self._node.destroy_node()
-        return all(have_ended)
+        while not self._stop.wait(max(0.0, due - time.monotonic())):
+            self._inbox.deliver()
+            self._station.beat()
+            for valve in range(len(self._valves)):
+                self._command(valve)
+            due = max(due + period, time.monotonic())
 
     # --- wiring ---
 

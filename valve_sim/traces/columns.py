@@ -6,15 +6,19 @@
     position: {column: qm, unit: mm, at_rest: exclude}         # not while it stands
     velocity: {column: qm, unit: mm, derivative: 1, low_pass: 100}
 
-A reading becomes unit × (sign × scale × reading + offset). Names are the machine's: its inputs and outputs.
+A reading becomes unit × (sign × scale × reading + offset). Names are the machine's: its inputs and outputs. Of a bag
+each entry has topic and field, or joint, in place of column, and its own times:
+
+    torque: {topic: /motor/torque, field: data, unit: N*m}
+    angle: {topic: /joint_states, joint: hinge, unit: rad}
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
 from typing import Any, Final
@@ -24,22 +28,20 @@ from numpy.typing import NDArray
 from scipy import ndimage, signal
 from scipy.interpolate import interp1d
 
-from valve_sim.files.data_tables import TABLE_SUFFIXES, open_table
-from valve_sim.files.plant_files import one_line
 from valve_sim.files.recording_map import MapError
 from valve_sim.files.yaml_files import read_yaml
 from valve_sim.model.core.own.grammar import Expr, ExpressionError, names_in, parse
-from valve_sim.model.core.own.units import Unit, UnitError, parse_unit
+from valve_sim.model.core.own.units import Unit, parse_unit
+from valve_sim.traces.column_sources import MapReader, short, source_of
 from valve_sim.traces.errors import TraceError
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 KEYS: Final = (
-    "column", "unit", "scale", "sign", "offset", "use", "at_rest", "derivative", "low_pass", "every", "between",
+    "unit", "scale", "sign", "offset", "use", "at_rest", "derivative", "low_pass", "every", "between",
     "tolerance",
 )  # fmt: skip
-TIME_KEYS: Final = ("column", "unit", "rate")
 FILTER_ORDER: Final = 4
 """Of the Butterworth low-pass, which is passed forwards and backwards, so that nothing is delayed."""
 REST: Final = 0.1
@@ -47,7 +49,11 @@ REST: Final = 0.1
 UNEVEN: Final = 1e-3
 """Of a step: steps that differ by more are brought to a steady rate before they are filtered."""
 LONGEST_STEP: Final = 20.0
-"""Usual steps that a filter bridges."""
+"""Usual steps that a filter bridges: on either side of a longer gap it begins anew."""
+DISTORTED: Final = 2.0
+"""Periods of the filter's corner on either side of a gap in which it shows its beginning rather than the signal."""
+FEWEST: Final = 3 * (FILTER_ORDER + 1)
+"""Samples between two gaps, of which the filter needs more."""
 STILL: Final = 6.0
 """Standard deviations of the noise between neighbours, within which a signal stands."""
 _COMPARED: Final = re.compile(r"(<=|>=|<|>)")
@@ -62,6 +68,7 @@ class Column:
         times, readings: (n,) s, and numbers in `unit`; None: in the unit that the machine declares.
         used: (n,) True where a sample counts. low_pass: Hz, infinite: none. every: of how many samples one is compared.
         held: whether it holds between its samples; None: as the machine declares.
+        smoothing: Hz, of the low-pass that its readings have passed.
         gain, offset: standard deviations of errors of each recording: a factor 1 ± gain, and ± offset in `unit`.
     """
 
@@ -76,14 +83,16 @@ class Column:
     held: bool | None = None
     gain: float = 0.0
     offset: float = 0.0
+    smoothing: float = math.inf
 
     def si(self, declared: Unit) -> Array:
         """(n,) in SI; what is not used is NaN nowhere, but marked in `used`."""
-        return self.readings * (declared if self.unit is None else self.unit).factor
+        unit = declared if self.unit is None else self.unit
+        return self.readings * unit.factor + unit.zero
 
-    def filtered(self, values: Array, axis: int = 0) -> Array:
-        """Values at the column's samples, low-passed as it is and thinned."""
-        return _thinned(_low_passed(values, self.times, self.low_pass, axis), self.every)
+    def filtered(self, values: Array) -> Array:
+        """(n, ...) values at the column's samples, low-passed as it is and thinned."""
+        return _low_passed(values, self.times, self.low_pass)[self.compared]
 
     @property
     def compared(self) -> slice:
@@ -117,8 +126,8 @@ def read(path: str | PathLike[str], recording_map: str | PathLike[str] | Mapping
     """Read any recording of any machine.
 
     Args:
-        path: a table (CSV, Parquet, MATLAB). recording_map: a file, or its content; None: every column of the table by
-            its own name, with the column `time` or the first one as time in s.
+        path: a table (CSV, Parquet, MATLAB), or a bag (a rosbag2 folder, .mcap or .db3). recording_map: a file, or its
+            content; None: every column of a table by its own name, with `time` or the first column as time in s.
 
     Returns:
         columns by the names in the map, with times in s.
@@ -126,15 +135,8 @@ def read(path: str | PathLike[str], recording_map: str | PathLike[str] | Mapping
     Raises:
         ValveError: recording or map cannot be used; one line with file, key and mend.
     """
-    path = Path(path)
     where, found = _map_of(recording_map)
-    if path.suffix.lower() not in TABLE_SUFFIXES:
-        raise TraceError(f"{path}: is no table; expected one of {', '.join(TABLE_SUFFIXES)}")
-    table = open_table(path)
-    if found is None:
-        time = "time" if "time" in table.names else table.names[0]
-        found = {"time": {"column": time}, **{name: {"column": name} for name in table.names if name != time}}
-    return _Reading(path, table, where, found).columns()
+    return _Reading(Path(path), where, found).columns()
 
 
 def _map_of(given: str | PathLike[str] | Mapping[str, Any] | None) -> tuple[str, Mapping[Any, Any] | None]:
@@ -142,200 +144,124 @@ def _map_of(given: str | PathLike[str] | Mapping[str, Any] | None) -> tuple[str,
         return "map", given
     found = read_yaml(Path(given), "expected a map of a recording: time: {column: t}, force: {column: F}", MapError)
     if not isinstance(found, Mapping) or not found:
-        raise MapError(f"{given}: found {_short(found)}, expected keys such as time: {{column: t}}")
+        raise MapError(f"{given}: found {short(found)}, expected keys such as time: {{column: t}}")
     return str(given), found
 
 
 class _Reading:
-    """One reading of one table."""
+    """One reading of one recording by one map."""
 
-    def __init__(self, path: Path, table: Any, where: str, found: Mapping[Any, Any]) -> None:
-        self._path, self._table, self._where, self._found = path, table, where, found
+    def __init__(self, path: Path, where: str, found: Mapping[Any, Any] | None) -> None:
+        self._path, self._map = path, MapReader(where)
+        self._use = (found or {}).get("use")
+        self._source, self._entries = source_of(path, self._map, found)
         self._findings: list[str] = []
 
     def columns(self) -> Columns:
-        entries = {name: own for name, own in self._found.items() if name not in ("time", "use")}
-        for name in entries:
+        for name in self._entries:
             if not isinstance(name, str):
-                raise self._fail(
+                raise self._map.fail(
                     str(name), "expected the name of an input or output (YAML reads on, off, yes, no as true or false)"
                 )
-        if not entries:
-            raise self._fail("", "names no input and no output; add force: {column: F, unit: N}")
-        kept, times = self._times()
-        read = {name: self._column(name, own, times, kept) for name, own in entries.items()}
+        if not self._entries:
+            raise self._map.fail("", "names no input and no output; add force: {column: F, unit: N}")
+        read = {name: self._column(name, own) for name, own in self._entries.items()}
         values = {name: column.si(column.unit or parse_unit("")) for name, column in read.items()}
-        common = self._mask("use", self._found["use"], times[kept], values) if "use" in self._found else None
         whole = {}
         for name, column in read.items():
-            entry = entries[name] if isinstance(entries[name], Mapping) else {}
-            used = column.used if common is None else column.used & common
-            if "use" in entry:
-                used = used & self._mask(f"{name}.use", entry["use"], times[kept], values)
-            if self._choice(f"{name}.at_rest", entry.get("at_rest", "use"), ("use", "exclude")) == "exclude":
+            entry = self._entries[name] if isinstance(self._entries[name], Mapping) else {}
+            used = column.used
+            for key, text in (("use", self._use), (f"{name}.use", entry.get("use"))):
+                if text is not None:
+                    used = used & self._mask(key, text, column.times, read, values)
+            if self._map.choice(f"{name}.at_rest", entry.get("at_rest", "use"), ("use", "exclude")) == "exclude":
                 used = used & ~at_rest(column.times, column.readings)
             if not used.any():
-                raise self._fail(name, "no sample is left; widen use: or take at_rest: exclude out")
-            whole[name] = _with(column, used)
-        return Columns(str(self._path), whole, tuple(self._findings))
+                raise self._map.fail(name, "no sample is left; widen use: or take at_rest: exclude out")
+            whole[name] = replace(column, used=used)
+        return Columns(str(self._path), whole, (*self._source.findings, *self._findings))
 
-    def _fail(self, key: str, words: str) -> MapError:
-        return MapError(one_line(f"{self._where}: {key}: {words}" if key else f"{self._where}: {words}"))
-
-    def _check_keys(self, key: str, entry: Mapping[Any, Any], known: Sequence[str]) -> None:
-        for own in entry:
-            if own not in known:
-                raise self._fail(f"{key}.{own}", f"unknown key; expected one of {', '.join(known)}")
-
-    def _named(self, key: str, name: object) -> str:
-        text = str(name) if isinstance(name, int) and not isinstance(name, bool) else name
-        if not isinstance(text, str):
-            raise self._fail(key, f"found {_short(name)}, expected the name of a column")
-        names = self._table.names
-        if text not in names and not (text.isdigit() and 1 <= int(text) <= len(names)):
-            raise self._fail(
-                key, f"column {text} is not in {self._path}; it has {', '.join(names[:20])}; name one of these"
-            )
-        return text
-
-    def _times(self) -> tuple[Mask, Array]:
-        found = self._found.get("time")
-        if found is None:
-            raise self._fail("time", "is missing; add time: {column: t, unit: s} or time: {rate: 1000}")
-        if isinstance(found, str | int) and not isinstance(found, bool):
-            found = {"column": found}
-        if not isinstance(found, Mapping):
-            raise self._fail("time", f"found {_short(found)}, expected {{column: t, unit: s}} or {{rate: 1000}}")
-        self._check_keys("time", found, TIME_KEYS)
-        if ("rate" in found) == ("column" in found):
-            raise self._fail("time", f"found {_short(dict(found))}, expected either column: or rate:")
-        if "rate" in found:
-            rate = self._number("time.rate", found["rate"])
-            if rate <= 0.0:
-                raise self._fail("time.rate", f"found {rate:g}, expected rows a second above 0")
-            count = len(self._table.column(self._table.names[0]))
-            return np.ones(count, dtype=bool), np.arange(count) / rate
-        unit = self._unit("time", found) or parse_unit("s")
-        if unit.dimension != parse_unit("s").dimension:
-            raise self._fail("time.unit", f"found {found['unit']!r}, expected one of time: s, ms, us, min")
-        times = unit.factor * self._table.column(self._named("time.column", found["column"]))
-        if not np.isfinite(times).all():
-            raise TraceError(
-                f"{self._path}: {self._table.place(int(np.argmin(np.isfinite(times))))}: holds no time; "
-                "take the row out"
-            )
-        if (np.diff(times) < 0.0).any():
-            row = int(np.argmax(np.diff(times) < 0.0)) + 1
-            raise TraceError(
-                f"{self._path}: {self._table.place(row)}: its time is before that of the row above; sort the rows"
-            )
-        kept = np.diff(times, prepend=-np.inf) > 0.0
-        if not kept.all():
-            self._findings.append(f"dropped {int((~kept).sum())} rows with the time of the row before")
-        if kept.sum() < 3:
-            raise TraceError(f"{self._path}: found {int(kept.sum())} rows of different times, expected at least 3")
-        return kept, times
-
-    def _number(self, key: str, found: object) -> float:
-        if isinstance(found, bool) or not isinstance(found, int | float) or not math.isfinite(found):
-            raise self._fail(key, f"found {_short(found)}, expected a finite number")
-        return float(found)
-
-    def _choice(self, key: str, found: object, known: Sequence[str]) -> str:
-        if found not in known:
-            raise self._fail(key, f"found {_short(found)}, expected {' or '.join(known)}")
-        return str(found)
-
-    def _unit(self, key: str, entry: Mapping[str, Any]) -> Unit | None:
-        if "unit" not in entry:
-            return None
-        text = "1" if entry["unit"] == 1 else entry["unit"]
-        if not isinstance(text, str):
-            raise self._fail(f"{key}.unit", f"found {_short(text)}, expected a text such as mm")
-        try:
-            return parse_unit(text)
-        except UnitError as error:
-            raise self._fail(f"{key}.unit", str(error)) from error
-
-    def _column(self, name: str, entry: object, times: Array, kept: Mask) -> Column:
+    def _column(self, name: str, entry: object) -> Column:
         if isinstance(entry, str | int) and not isinstance(entry, bool):
-            entry = {"column": entry}
+            entry = {self._source.keys[0]: entry}
         if not isinstance(entry, Mapping):
-            raise self._fail(name, f"found {_short(entry)}, expected {{column: ..., unit: ...}}")
-        self._check_keys(name, entry, KEYS)
-        if "column" not in entry:
-            raise self._fail(name, "names no column; add column:")
-        label = self._named(f"{name}.column", entry["column"])
+            raise self._map.fail(name, f"found {short(entry)}, expected {{{self._source.keys[0]}: ..., unit: ...}}")
+        self._map.check_keys(name, entry, (*self._source.keys, *KEYS))
+        label, times, recorded = self._source.series(name, entry)
         scale, offset = (
-            self._number(f"{name}.{key}", entry.get(key, off)) for key, off in (("scale", 1.0), ("offset", 0.0))
+            self._map.number(f"{name}.{key}", entry.get(key, off)) for key, off in (("scale", 1.0), ("offset", 0.0))
         )
-        sign = self._choice(f"{name}.sign", entry.get("sign", 1), (1, -1))  # type: ignore[arg-type]
-        readings = float(sign) * scale * self._table.column(label) + offset
-        times, readings = times[kept], readings[kept]
+        sign = self._map.choice(f"{name}.sign", entry.get("sign", 1), (1, -1))
+        readings = float(sign) * scale * recorded + offset
         used = np.isfinite(readings)
         if not used.any():
-            raise TraceError(f"{self._path}: column {label}: holds no finite number; name another column")
+            raise TraceError(f"{self._path}: {label}: holds no finite number; name another {self._source.keys[0]}")
         if not used.all():
-            self._findings.append(
-                f"column {label}: {int((~used).sum())} of {len(used)} cells are empty and were left out"
-            )
+            self._findings.append(f"{label}: {int((~used).sum())} of {len(used)} cells are empty and were left out")
             readings = np.interp(times, times[used], readings[used])
-        unit = self._unit(name, entry)
+        unit = self._map.unit(name, entry)
         low_pass, every, order = self._filter(name, entry, times)
-        readings = _low_passed(readings, times, low_pass, 0, order)
+        if low_pass < math.inf:
+            near = _near_gaps(times, low_pass)
+            if near.any():
+                gap = float(np.max(np.diff(times)))
+                self._findings.append(
+                    f"{name}: {int((used & near).sum())} samples beside gaps (the longest {gap:.3g} s) were left out, "
+                    "since a filter begins anew after each"
+                )
+                used &= ~near
+        readings = _low_passed(readings, times, low_pass, order)
         if order:
             unit = None if unit is None else _over_time(unit, order)
-        between = (
-            None if "between" not in entry else self._choice(f"{name}.between", entry["between"], ("held", "straight"))
-        )
+        between = self._map.choice(f"{name}.between", entry.get("between", ""), ("held", "straight", ""))
         gain, zero = self._tolerance(name, entry)
         return Column(
             name, label, times, readings, unit, used, math.inf if order else low_pass, every,
-            None if between is None else between == "held", gain, zero,
+            between == "held" if between else None, gain, zero, low_pass,
         )  # fmt: skip
 
     def _filter(self, name: str, entry: Mapping[str, Any], times: Array) -> tuple[float, int, int]:
         order = entry.get("derivative", 0)
         if isinstance(order, bool) or order not in (0, 1, 2):
-            raise self._fail(f"{name}.derivative", f"found {_short(order)}, expected 1 or 2")
+            raise self._map.fail(f"{name}.derivative", f"found {short(order)}, expected 1 or 2")
         rate = (len(times) - 1) / (times[-1] - times[0])
-        low_pass = self._number(f"{name}.low_pass", entry["low_pass"]) if "low_pass" in entry else math.inf
+        low_pass = self._map.number(f"{name}.low_pass", entry["low_pass"]) if "low_pass" in entry else math.inf
         if low_pass <= 0.0:
-            raise self._fail(f"{name}.low_pass", f"found {low_pass:g}, expected a frequency in Hz above 0")
+            raise self._map.fail(f"{name}.low_pass", f"found {low_pass:g}, expected a frequency in Hz above 0")
         if low_pass < math.inf and low_pass >= 0.45 * rate:
-            raise self._fail(
+            raise self._map.fail(
                 f"{name}.low_pass",
                 f"found {low_pass:g}, expected below {0.45 * rate:.4g} Hz, as {rate:.4g} rows a second have it",
             )
         every = entry.get("every", 1 if low_pass == math.inf or order else max(1, int(0.5 * rate / low_pass)))
         if isinstance(every, bool) or not isinstance(every, int) or not 1 <= every <= len(times) // 3:
-            raise self._fail(f"{name}.every", f"found {_short(every)}, expected a whole number of samples from 1 on")
-        if low_pass < math.inf:
-            steps = np.diff(times)
-            if np.max(steps) > LONGEST_STEP * np.median(steps):
-                raise self._fail(
-                    f"{name}.low_pass",
-                    f"found a gap of {np.max(steps):.4g} s, which no filter bridges; cut the file there",
-                )
+            raise self._map.fail(f"{name}.every", f"found {short(every)}, expected a whole number of samples from 1 on")
         return low_pass, every, int(order)
 
     def _tolerance(self, name: str, entry: Mapping[str, Any]) -> tuple[float, float]:
         found = entry.get("tolerance", {})
         if not isinstance(found, Mapping):
-            raise self._fail(f"{name}.tolerance", f"found {_short(found)}, expected {{gain: 0.01, offset: 0.2}}")
-        self._check_keys(f"{name}.tolerance", found, ("gain", "offset"))
-        sizes = [self._number(f"{name}.tolerance.{key}", found.get(key, 0.0)) for key in ("gain", "offset")]
+            raise self._map.fail(f"{name}.tolerance", f"found {short(found)}, expected {{gain: 0.01, offset: 0.2}}")
+        self._map.check_keys(f"{name}.tolerance", found, ("gain", "offset"))
+        sizes = [self._map.number(f"{name}.tolerance.{key}", found.get(key, 0.0)) for key in ("gain", "offset")]
         if min(sizes) < 0.0:
-            raise self._fail(f"{name}.tolerance", f"found {min(sizes):g}, expected standard deviations from 0 on")
+            raise self._map.fail(f"{name}.tolerance", f"found {min(sizes):g}, expected standard deviations from 0 on")
         return sizes[0], sizes[1]
 
-    def _mask(self, key: str, text: object, times: Array, values: Mapping[str, Array]) -> Mask:
+    def _mask(
+        self, key: str, text: object, times: Array, read: Mapping[str, Column], values: Mapping[str, Array]
+    ) -> Mask:
+        """(n,) where a condition holds, at the times of one column; what others read then is on straight lines."""
         if not isinstance(text, str):
-            raise self._fail(key, f'found {_short(text)}, expected a condition such as "20 < time < 30"')
+            raise self._map.fail(key, f'found {short(text)}, expected a condition such as "20 < time < 30"')
+        here = {
+            name: own if read[name].times is times else np.interp(times, read[name].times, own)
+            for name, own in values.items()
+        }
         try:
-            return chosen(text, {**values, "time": times, "t": times})
+            return chosen(text, {**here, "time": times, "t": times})
         except ExpressionError as error:
-            raise self._fail(key, str(error)) from error
+            raise self._map.fail(key, str(error)) from error
 
 
 def chosen(text: str, values: Mapping[str, Array]) -> Mask:
@@ -418,30 +344,50 @@ def at_rest(times: Array, readings: Array) -> Mask:
     return np.asarray(ndimage.binary_dilation(still, iterations=span // 2) if still.any() else still)
 
 
-def _low_passed(values: Array, times: Array, low_pass: float, axis: int, order: int = 0) -> Array:
+def _low_passed(values: Array, times: Array, low_pass: float, order: int = 0) -> Array:
     """Values behind a zero-phase low-pass, or their derivatives behind it, at the times of the samples.
 
-    Filters know a steady rate. Samples whose steps vary are brought to one, on straight lines, and back again.
+    Filters know a steady rate. Samples whose steps vary are brought to one, on straight lines, and back again. After a
+    gap the filter begins anew; too few samples between two gaps stay as they are.
     """
+    edges = _gaps(times) if low_pass < math.inf else []
+    if edges:
+        pieces = zip([0, *edges], [*edges, len(times)], strict=True)
+        return np.concatenate(
+            [_low_passed(values[i:k], times[i:k], low_pass if k - i > FEWEST else math.inf, order) for i, k in pieces]
+        )
     if not low_pass < math.inf:
         for _ in range(order):
-            values = np.asarray(np.gradient(values, times, axis=axis), dtype=np.float64)
+            values = np.gradient(values, times, axis=0) if len(times) > 1 else np.zeros_like(values)
         return values
     grid, rate = times, (len(times) - 1) / (times[-1] - times[0])
     steps = np.diff(times)
     varies = float(np.ptp(steps)) > UNEVEN * float(np.median(steps))
     if varies:
         grid = np.linspace(times[0], times[-1], len(times))
-        values = np.asarray(interp1d(times, values, axis=axis)(grid), dtype=np.float64)
+        values = np.asarray(interp1d(times, values, axis=0)(grid), dtype=np.float64)
     numerator, denominator = signal.butter(FILTER_ORDER, low_pass / (0.5 * rate))
-    found: Array = np.asarray(signal.filtfilt(numerator, denominator, values, axis=axis), dtype=np.float64)
+    found: Array = np.asarray(signal.filtfilt(numerator, denominator, values, axis=0), dtype=np.float64)
     for _ in range(order):
-        found = np.asarray(np.gradient(found, grid, axis=axis), dtype=np.float64)
-    return np.asarray(interp1d(grid, found, axis=axis)(times), dtype=np.float64) if varies else found
+        found = np.asarray(np.gradient(found, grid, axis=0), dtype=np.float64)
+    return np.asarray(interp1d(grid, found, axis=0)(times), dtype=np.float64) if varies else found
 
 
-def _thinned(values: Array, every: int) -> Array:
-    return values[::every]
+def _gaps(times: Array) -> list[int]:
+    """Where samples begin anew after more than `LONGEST_STEP` usual steps without one."""
+    steps = np.diff(times)
+    return (1 + np.flatnonzero(steps > LONGEST_STEP * np.median(steps))).tolist()
+
+
+def _near_gaps(times: Array, low_pass: float) -> Mask:
+    """(n,) samples that a filter beside a gap distorts, or all between gaps that are too near."""
+    near, edges = np.zeros(len(times), dtype=bool), _gaps(times)
+    for i, k in zip([0, *edges], [*edges, len(times)], strict=True):
+        own = times[i:k]
+        near[i:k] |= (i > 0) & (own < own[0] + DISTORTED / low_pass)
+        near[i:k] |= (k < len(times)) & (own > own[-1] - DISTORTED / low_pass)
+        near[i:k] |= bool(edges) and k - i <= FEWEST
+    return near
 
 
 def _over_time(unit: Unit, order: int) -> Unit:
@@ -449,12 +395,3 @@ def _over_time(unit: Unit, order: int) -> Unit:
     return Unit(
         unit.factor, (length, mass, time - order, current, temperature), f"{unit.si}/s{'²' if order == 2 else ''}"
     )
-
-
-def _with(column: Column, used: Mask) -> Column:
-    return Column(**{**column.__dict__, "used": used})
-
-
-def _short(value: object) -> str:
-    text = "nothing" if value is None else repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."

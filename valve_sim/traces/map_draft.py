@@ -37,8 +37,6 @@ FEW_MESSAGES = 0.2
 MOST_LEVELS = 12
 """A voltage rests at so few levels at most."""
 MOST_LISTED = 40
-YAML_WORDS = ("y", "n", "yes", "no", "on", "off", "true", "false", "null")
-"""Words that YAML reads as something other than text."""
 
 
 class Guess(NamedTuple):

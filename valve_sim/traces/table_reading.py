@@ -178,26 +178,7 @@ class _TableAssembly:
         if axis.rate:
             return np.arange(rows) / axis.rate, np.ones(rows, dtype=bool)
         self.check_column("time", axis.column)
-        times = UNITS["time"][axis.unit].factor * self.table.column(axis.column)
-        finite = np.isfinite(times)
-        if not finite.all():
-            place = self.table.place(int(np.argmin(finite)))
-            raise TraceError(f"{self.path}: {place}: column {axis.column} holds no time; take the row out")
-        steps = np.diff(times)
-        if (steps < 0).any():
-            row = int(np.argmax(steps < 0)) + 1
-            raise TraceError(
-                f"{self.path}: {self.table.place(row)}: time column {axis.column} runs backwards, {times[row]:.9g} s "
-                f"after {times[row - 1]:.9g} s; sort the rows, cut the file where the logger began anew, or name "
-                "another column"
-            )
-        kept = np.concatenate([[True], steps > 0])
-        repeated = int((~kept).sum())
-        if repeated > len(times) // 20:
-            raise TraceError(
-                f"{self.path}: column {axis.column}: {repeated} of {len(times)} rows have the time of the row before; "
-                "write the time with more digits, or give time: {rate: ...} (rows a second)"
-            )
+        times, kept, repeated = self.table.row_times(axis.column, UNITS["time"][axis.unit].factor)
         if repeated:
             self.findings.append(f"column {axis.column}: dropped {repeated} rows with the time of the row before")
         return times, kept

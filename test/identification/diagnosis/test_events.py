@@ -73,6 +73,7 @@ def test_no_single_effect_closes_the_table_but_many_pairs_do(diagnosis):
     assert report["before"]["errors_ms"] == [None, None]
 
 
+@pytest.mark.long
 def test_the_shipped_valve_meets_both_events_with_the_published_dampings(table, diagnosis):
     for time, event in zip(diagnosis.shipped.times, table.events, strict=True):
         assert time == pytest.approx(event.time, abs=10e-6)
@@ -82,6 +83,7 @@ def test_the_shipped_valve_meets_both_events_with_the_published_dampings(table, 
     assert declared["coil_time_constant"] == pytest.approx(0.9934e-3, abs=1e-7)
 
 
+@pytest.mark.long
 def test_the_calibrated_values_have_the_standard_errors_that_the_events_give_them(table, diagnosis):
     """By solving the two events anew, each moved by its uncertainty in turn: no derivative of the model."""
     plant, errors = EventPlant(table), {}
@@ -103,6 +105,7 @@ def test_the_calibrated_values_have_the_standard_errors_that_the_events_give_the
     assert np.count_nonzero(added) == 1
 
 
+@pytest.mark.long
 def test_a_declared_file_without_tolerances_gives_one_without(tmp_path, table, diagnosis):
     exact = replace(diagnosis, valve=diagnosis.valve.exact())
     path = tmp_path / "exact.yaml"
@@ -112,6 +115,7 @@ def test_a_declared_file_without_tolerances_gives_one_without(tmp_path, table, d
     assert load_valve(tmp_path / "valve.yaml") == exact.valve
 
 
+@pytest.mark.long
 def test_running_it_again_gives_the_shipped_file(tmp_path, diagnosis):
     written = {path.name: path for path in write_event_report(diagnosis, tmp_path)}
     assert written["valve.yaml"].read_text() == (CONFIG / "valve.yaml").read_text()
@@ -119,6 +123,7 @@ def test_running_it_again_gives_the_shipped_file(tmp_path, diagnosis):
     assert all(path.stat().st_size < 150_000 for path in written.values())
 
 
+@pytest.mark.long
 def test_the_events_hold_neither_damping(diagnosis):
     for name, published in zip(DAMPINGS, (1.0, 4.0), strict=True):
         low, high = diagnosis.region.interval(name, capped=False)
@@ -129,6 +134,7 @@ def test_the_events_hold_neither_damping(diagnosis):
         assert 10.0 * published < high < math.inf
 
 
+@pytest.mark.long
 def test_every_member_of_the_region_gives_the_events(table, diagnosis):
     plant, region = EventPlant(table), diagnosis.region
     for i, j in np.argwhere(region.allowed)[::60]:
@@ -139,6 +145,7 @@ def test_every_member_of_the_region_gives_the_events(table, diagnosis):
             assert abs(time - event.time) < 2.0 * event.uncertainty
 
 
+@pytest.mark.long
 def test_it_says_what_would_decide(diagnosis):
     assert diagnosis.measurements[0].power > 100.0
     text = event_text(diagnosis)
@@ -151,12 +158,14 @@ def test_it_says_what_would_decide(diagnosis):
     assert [name for name in listed if name not in text] == []
 
 
+@pytest.mark.long
 def test_the_closing_time_covers_valves_that_touch_their_seat_and_lift_off_it(diagnosis):
     """A strong pull at rest holds heavily damped ones, which take longest, just off their seat."""
     (closing,) = (one for one in diagnosis.measurements if one.quantity is Quantity.CLOSING_TIME)
     assert (closing.lowest, closing.highest) == pytest.approx((11.74, 23.02), abs=0.01)
 
 
+@pytest.mark.long
 def test_the_page_on_the_paper_lists_what_would_decide(diagnosis):
     page = (CONFIG.parent / "docs" / "theory" / "paper.md").read_text()
     rows = [line for line in page.splitlines() if line.startswith("| ") and line.count("|") == 5]

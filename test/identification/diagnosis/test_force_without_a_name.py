@@ -19,6 +19,8 @@ from valve_sim.model import Drive, Stepper, simulate
 
 from .test_run import DECLARED, measured
 
+pytestmark = pytest.mark.long
+
 BUMP = {"amplitude": -1.2, "centre": 0.55e-3, "width": 0.1e-3}
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from plants.recording import Recorder
 from benchmarks.coverage import measure
 from identification.recordings import TRUTH, one_opening, recorded, shortened
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.diagnosis import identify as identifying
 from valve_sim.identification.diagnosis.identify import check_free, identify
 from valve_sim.identification.estimation.findings import (
     Correlated,
@@ -25,10 +23,6 @@ from valve_sim.identification.estimation.findings import (
     StampErrors,
 )
 from valve_sim.identification.estimation.intervals import Unbounded
-from valve_sim.identification.estimation.problem import Problem
-from valve_sim.identification.estimation.result import Fit
-from valve_sim.identification.estimation.solver import fit
-from valve_sim.identification.plants import stroke_choice
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.identification import identification_json, identification_text
 from valve_sim.model import CATALOGUE, ParameterError, Valve
@@ -109,30 +103,6 @@ def test_several_starts_leave_a_local_minimum() -> None:
     result = identify([recorded()], far)
     for name, truth in TRUTH.items():
         assert abs(result.intervals[name].value - truth) < 4.0 * result.intervals[name].stderr
-
-
-def test_a_long_recording_is_fitted_once_from_where_the_best_start_leads_some_of_its_strokes(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    far = EXACT_VALVE.with_values(pilot_damping=40.0, main_damping=0.05)
-    trace = recorded()
-    short = identify([trace], far)
-    sizes: list[int] = []
-
-    def noted(problem: Problem, *arguments: Any, **rest: Any) -> Fit:
-        sizes.append(sum(len(channel.data) for channel in problem.plant.channels))
-        return fit(problem, *arguments, **rest)
-
-    monkeypatch.setattr(identifying, "fit", noted)
-    monkeypatch.setattr(stroke_choice, "MANY", len(trace.times) - 1)
-    monkeypatch.setattr(stroke_choice, "ENOUGH", len(trace.times) // 3)
-    monkeypatch.setattr(stroke_choice, "FEWEST", 1)
-    found = identify([trace], far)
-    # Each further fit to all of it begins where the one before it ended: its errors are learned.
-    assert max(sizes[:3]) < 0.6 * sizes[3]
-    assert set(sizes[3:]) == {len(trace.times)}
-    for name in TRUTH:
-        assert abs(found.fit.values[name] - short.fit.values[name]) < 0.02 * short.fit.stderr(name)
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,7 @@ from plants.laboratory import Laboratory, measure, true_sizes
 from plants.recording import holdout_profile, train_profile
 from plants.tolerances import SHEET_VALVE, declared_tolerances
 
-from benchmarks.campaign.cases import declared_valve
-from benchmarks.campaign.running import as_trace
+from benchmarks.campaign.declared import as_trace, declared_valve
 from valve_sim.files.json_text import plain
 from valve_sim.identification.diagnosis.recording_state import state_of_recording
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
@@ -38,10 +37,7 @@ LABORATORIES = {
 
 @pytest.fixture(
     scope="module",
-    params=[
-        pytest.param(name, marks=() if name == "drift and a mount that rings" else pytest.mark.long)
-        for name in LABORATORIES
-    ],
+    params=[pytest.param(name, marks=pytest.mark.long) for name in LABORATORIES],
 )
 def laboratory(request: pytest.FixtureRequest) -> str:
     return str(request.param)
@@ -101,6 +97,7 @@ def test_reports_say_the_state_of_the_recording(laboratory: str, found: Diagnosi
         assert f'<code class="code">{name}</code>' in page
 
 
+@pytest.mark.long
 def test_a_declared_average_of_readings_is_no_effect_of_the_valve() -> None:
     recordings = [
         measure(SHEET_VALVE, {}, profile, Laboratory(averaging=8), seed)

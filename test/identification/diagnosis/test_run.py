@@ -43,37 +43,34 @@ def diagnosed(effects: Effects, seed: int, recorder: Recorder = Recorder()) -> D
 @pytest.mark.parametrize(
     "recorder",
     [
-        Recorder(),
-        Recorder(colour=0.7),
-        Recorder(quantisation=5e-6),
-        Recorder(command_jitter=50e-6),
-        Recorder(clock_offset=60e-6, with_current=True),
+        pytest.param(Recorder(), id="white"),
+        pytest.param(Recorder(colour=0.7), id="coloured", marks=pytest.mark.long),
+        pytest.param(Recorder(quantisation=5e-6), id="coarse", marks=pytest.mark.long),
+        pytest.param(Recorder(command_jitter=50e-6), id="jitter", marks=pytest.mark.long),
+        pytest.param(Recorder(clock_offset=60e-6, with_current=True), id="clock and current"),
     ],
-    ids=["white", "coloured", "coarse", "jitter", "clock and current"],
 )
 def test_nothing_is_claimed_where_nothing_is_missing(recorder: Recorder) -> None:
     verdict = diagnosed({}, 1, recorder).verdict
     assert (verdict.kind, verdict.effects) == ("none", ())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "parameters"),
     [
         ("coulomb_friction", {"force": 0.05}),
-        pytest.param("constant_force", {"force": 0.1}, marks=pytest.mark.long),
-        pytest.param("drive_gain", {"gain": 0.99}, marks=pytest.mark.long),
+        ("constant_force", {"force": 0.1}),
+        ("drive_gain", {"gain": 0.99}),
         pytest.param(
             "eddy_lag",
             {"time_constant": 3e-4},
-            marks=[
-                pytest.mark.long,
-                pytest.mark.xfail(
-                    strict=True, raises=AssertionError, reason="a wrong coil time constant is named beside it"
-                ),
-            ],
+            marks=pytest.mark.xfail(
+                strict=True, raises=AssertionError, reason="a wrong coil time constant is named beside it"
+            ),
         ),
-        pytest.param("pressure_force", {"force": 0.5, "equalisation_time": 6e-3}, marks=pytest.mark.long),
-        pytest.param("stop_bounce", {"restitution_stop": 0.3, "restitution_seat": 0.2}, marks=pytest.mark.long),
+        ("pressure_force", {"force": 0.5, "equalisation_time": 6e-3}),
+        ("stop_bounce", {"restitution_stop": 0.3, "restitution_seat": 0.2}),
         ("stroke_offset", {"offset": 2e-6}),
     ],
 )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,12 +11,10 @@ import numpy as np
 import pytest
 from plants.recording import Recorder, train_profile
 
-from benchmarks.hard_recordings.cases import CAMPAIGN, Case, cases
-from identification.plants.test_axis import made_up_record
+from benchmarks.campaign.hard import CAMPAIGN, Case, cases
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose, diagnose_plant
 from valve_sim.identification.estimation.budget import Budget
-from valve_sim.identification.plants.axis import AxisPlant
 from valve_sim.identification.plants.protocol import Array, Channel, EffectChoice, ForceMap, Nuisance, Role
 from valve_sim.identification.reporting.diagnosis_json import to_json
 from valve_sim.identification.reporting.summary import recording_advice, summarise
@@ -58,7 +55,7 @@ def assert_sound(found: Diagnosis) -> None:
             "one_opening.mcap",
             marks=pytest.mark.xfail(strict=True, raises=AssertionError, reason="one opening is said to lack nothing"),
         ),
-        "friction",
+        pytest.param("friction", marks=pytest.mark.long),
     ],
 )
 def test_of_the_shipped_bags_only_the_one_with_friction_gets_a_name(bag: str) -> None:
@@ -73,7 +70,12 @@ SLICE = ("noise-free, own", "noise-free, plant, with current", "coarse, no noise
 
 
 @pytest.mark.parametrize(
-    "case", [case for case in cases() if case.kind in SLICE and case.seed == 1], ids=lambda case: case.kind
+    "case",
+    [
+        pytest.param(case, id=case.kind, marks=() if case.kind == SLICE[0] else pytest.mark.long)
+        for case in cases()
+        if case.kind in SLICE and case.seed == 1
+    ],
 )
 def test_a_slice_of_the_hard_recordings(case: Case) -> None:
     found = diagnose(case.make(case.seed), [], case.declared)
@@ -238,11 +240,3 @@ def test_noise_that_is_never_seen_alone_is_what_the_model_leaves() -> None:
     # Differences see the signal itself, half a thousand times the noise.
     found = diagnose_plant(jagged, None)
     assert found.before.fit.problem.noise.sigma == pytest.approx(1e-3, rel=0.1)
-
-
-def test_an_axis_is_reported_in_newtons() -> None:
-    report = to_json(diagnose_plant(AxisPlant(made_up_record(lambda v: 8.0, 0.0)), None))
-    assert report["unit"] == "N"
-    # Of 8 N against a velocity that is a sine, viscous friction takes up all but √(1 − 8/π²).
-    assert report["before"]["rmse"]["train"] == pytest.approx(8.0 * math.sqrt(1.0 - 8.0 / math.pi**2), rel=0.05)
-    assert not [name for name in report["before"] if name.endswith("_um")]

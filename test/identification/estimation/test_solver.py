@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,13 +13,11 @@ from scipy.optimize import least_squares
 from identification.diagnosis.test_sound_verdicts import Decay
 from identification.recordings import TRUTH, one_opening, recorded
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.estimation import intervals
 from valve_sim.identification.estimation.budget import Budget
 from valve_sim.identification.estimation.descent import TRIAL, Descent, SolverOptions
 from valve_sim.identification.estimation.intervals import Interval, Unbounded, covariance_interval, profile_interval
 from valve_sim.identification.estimation.priors import Cauchy
 from valve_sim.identification.estimation.problem import Problem
-from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import (
     Direction,
@@ -127,25 +124,6 @@ def test_profile_and_covariance_agree_where_the_data_hold_a_parameter(problem: P
         assert profile.low < TRUTH[name] < profile.high
         assert [value for value, _ in curve] == sorted(value for value, _ in curve)
         assert min(rise for _, rise in curve) == 0.0
-
-
-def test_refits_along_a_profile_begin_where_they_would_end_if_chi2_were_quadratic(
-    problem: Problem, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    found = fit(problem, BOTH, {}, nuisances=problem.plant.nuisances)
-    refits: list[tuple[float, Fit]] = []
-
-    def noted(problem: Problem, free: Sequence[str], start: Mapping[str, float], **rest: Any) -> Fit:
-        refit = fit(problem, free, start, **rest)
-        refits.append((start["main_damping"], refit))
-        return refit
-
-    monkeypatch.setattr(intervals, "fit", noted)
-    profile_interval(found, "pilot_damping")
-    moved = [(start - found.values["main_damping"]) / found.stderr("main_damping") for start, _ in refits]
-    left = [(refit.values["main_damping"] - start) / found.stderr("main_damping") for start, refit in refits]
-    assert max(map(abs, moved)) > 0.2
-    assert max(map(abs, left)) < 0.1 * max(map(abs, moved))
 
 
 def test_a_bound_is_kept_and_named() -> None:

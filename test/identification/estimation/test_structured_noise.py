@@ -209,7 +209,7 @@ def test_every_error_says_what_to_do_and_has_a_prior_with_its_slope(error: objec
         assert np.trapezoid(density, sizes) == pytest.approx(1.0, abs=1e-3)
 
 
-@pytest.mark.parametrize("truth", [0.0, 0.8])
+@pytest.mark.parametrize("truth", [0.8, pytest.param(0.0, marks=pytest.mark.long)])
 def test_the_integral_over_a_size_is_that_of_a_fine_grid(truth: float) -> None:
     random = np.random.default_rng(6)
     columns, free = random.standard_normal((400, 5)), random.standard_normal(400)

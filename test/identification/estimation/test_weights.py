@@ -7,10 +7,9 @@ from typing import cast
 
 import numpy as np
 import pytest
-from traces.test_summary import Weighed
 
 from valve_sim.identification.estimation.noise import Noise
-from valve_sim.identification.estimation.problem import Problem, _stays
+from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit, effective_rmse, rmse
 from valve_sim.identification.plants.protocol import Array, Channel
 
@@ -51,25 +50,6 @@ def test_a_valve_that_moves_as_declared_counts_as_before() -> None:
     found = weights(CLOSING, late, CLOSING)
     assert np.all(found[205:795] == 1.0)
     assert np.sum(found[805:] ** 2) == pytest.approx(1.0, rel=0.05)
-
-
-def test_how_long_a_reading_stays_is_found_from_what_is_near_it() -> None:
-    """As by looking at everything, and with no more work where the recording is longer."""
-    random = np.random.default_rng(4)
-    levels = np.repeat(random.integers(0, 5, 400), random.integers(1, 900, 400)) * 5e-6
-    for start in random.integers(0, len(levels) - 20, 50).tolist():
-        stop = start + int(random.integers(5, 20))
-        moved = np.flatnonzero(np.abs(levels - np.median(levels[start:stop])) > 7.5e-6)
-        first = max((place + 1 for place in moved[moved < start].tolist()), default=0)
-        last = min(moved[moved >= stop].tolist(), default=len(levels))
-        assert _stays(levels, start, stop, 5e-6) == (first, last)
-
-    def work(length: int) -> int:
-        Weighed.elements = 0
-        _stays((np.arange(length) // 50 % 2 * 1e-3).view(Weighed), 10, 40, 5e-6)
-        return Weighed.elements
-
-    assert 0 < work(100_000) == work(1_000)
 
 
 def test_models_are_not_compared_by_copies_of_a_rounding_error() -> None:

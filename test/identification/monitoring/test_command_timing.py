@@ -46,10 +46,10 @@ def watched(
     return monitor, [report for _ in range(count) for report in feed(monitor, valve.stroke(effects))]
 
 
-@pytest.mark.parametrize("commissioned", [QUIET, BUSY])
+@pytest.mark.parametrize("commissioned", [QUIET, pytest.param(BUSY, marks=pytest.mark.long)])
 def test_a_healthy_valve_on_a_busy_machine_is_not_accused(commissioned: float) -> None:
-    monitor, reports = watched(BUSY, 60, commissioned=commissioned)
-    assert len(reports) == 60
+    monitor, reports = watched(BUSY, 30, commissioned=commissioned)
+    assert len(reports) == 30
     assert monitor.stroke_monitor.alarms == 0
     assert not [report.record.fault for report in reports if report.record.fault]
     assert {report.state for report in reports[1:]} == {StrokeState.TIMING_UNCERTAIN}
@@ -67,6 +67,7 @@ def test_on_a_quiet_machine_delays_are_judged_and_a_fault_is_found_as_before() -
     assert next(report for report in reports if report.alarm).record.number < 25
 
 
+@pytest.mark.long
 def test_what_changes_the_shape_of_a_stroke_is_found_on_a_busy_machine_too() -> None:
     monitor, reports = watched(BUSY, 12, STICTION)
     assert next(report for report in reports if report.alarm).record.number < 26

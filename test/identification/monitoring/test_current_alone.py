@@ -110,6 +110,7 @@ def test_a_healthy_valve_raises_no_alarm_and_its_reports_are_in_milliamperes(mon
     assert (report["opened"], report["closed"], report["fault"]) == (True, None, None)
 
 
+@pytest.mark.long
 def test_friction_that_grows_raises_an_alarm_and_is_named() -> None:
     monitor = Monitor(VALVE, SETTINGS, refit=False)
     coil = Coil(monitor, has_voltage=False)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.broken_plants import Heater, interrupt_endless, sound_trace, try_plant, try_recording
+from benchmarks.fuzz.slips import Heater, interrupt_endless, sound_trace, try_plant, try_recording
 from valve_sim.identification.diagnosis.run import diagnose, diagnose_plant
 from valve_sim.identification.plants.check import PlantError, check_plant, checked_prediction
 from valve_sim.identification.plants.protocol import Nuisance

@@ -17,7 +17,7 @@ def test_no_plant_inherits_from_another() -> None:
         if isinstance(node, ast.ClassDef)
     ]
     plants = {node.name for node in classes if any(getattr(item, "name", "") == "predict" for item in node.body)}
-    assert {"ValvePlant", "AxisPlant", "EventPlant", "CommissionedPlant"} <= plants
+    assert {"ValvePlant", "OwnPlant", "EventPlant", "CommissionedPlant"} <= plants
     bases = [(node.name, {getattr(base, "id", "") for base in node.bases}) for node in classes]
     # A protocol that asks for more than another has nothing that could be written over.
     inheriting = [name for name, own in bases if plants & own and "Protocol" not in own]

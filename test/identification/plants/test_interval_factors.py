@@ -11,8 +11,7 @@ from plants.laboratory import Laboratory, measure
 from plants.recording import Recorder, record, train_profile
 from plants.tolerances import SHEET_VALVE
 
-from benchmarks.campaign.cases import declared_valve
-from benchmarks.campaign.running import as_trace
+from benchmarks.campaign.declared import as_trace, declared_valve
 from valve_sim.identification.estimation.structured_noise import structured_noise
 from valve_sim.identification.plants.protocol import Array, Direction
 from valve_sim.identification.plants.valve import ValvePlant

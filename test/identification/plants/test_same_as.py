@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.maglev.plant import DEAD_BAND, EFFECTS
 from valve_sim.identification.plants.protocol import Nuisance
 from valve_sim.identification.plants.tolerances import SAME_AS
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.model import CATALOGUE, Parameter, Tolerances
+from valve_sim.model import Parameter, Tolerances
 
 from ..diagnosis.test_run import DECLARED
 from ..recordings import recorded
@@ -52,14 +51,3 @@ def unit_is_explained(own: Nuisance, parameter: Parameter) -> bool:
 def test_units_differ_only_where_a_slope_says_how(name: str) -> None:
     plant, own = plant_of(name)
     assert unit_is_explained(own, plant.parameter(own.same_as))
-
-
-def test_the_magnet_keeps_to_it_too() -> None:
-    effect, _, parameter = DEAD_BAND.same_as.partition(".")
-    assert unit_is_explained(DEAD_BAND, next(one for one in EFFECTS[effect] if one.name == parameter))
-
-
-def test_every_effect_of_a_counterpart_is_in_the_catalogue() -> None:
-    for same in SAME_AS.values():
-        effect, _, parameter = same.partition(".")
-        assert CATALOGUE[effect].parameter(parameter).name == parameter

@@ -99,5 +99,5 @@ def test_the_missing_effect_is_found_in_some_of_many_strokes(monkeypatch: pytest
     assert found.verdict.effects == ("coulomb_friction",)
     interval = found.after.intervals["coulomb_friction.force"]
     assert interval.value == pytest.approx(0.1, abs=4.0 * interval.stderr)
-    assert "Looked at were 8 of 14 strokes, of each of 2 kinds of command some" in diagnosis_text(found)
+    assert "8 of 14 strokes were examined, some of each of 2 kinds of command, spread" in diagnosis_text(found)
     assert to_json(found)["strokes"]["chosen"][0] == [0, 0]

@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 
 from identification.browser import CHROMIUM, SETTINGS, Browser
-from identification.recordings import recorded
-from valve_sim.files.parameter_files import default_valve, load_valve
+from identification.recordings import friction_found
+from valve_sim.files.parameter_files import load_valve
 from valve_sim.identification.diagnosis.experiment_design import Recommendation
-from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
+from valve_sim.identification.diagnosis.run import Diagnosis
 from valve_sim.identification.plants.protocol import Experiment
 from valve_sim.identification.reporting import html as report
 from valve_sim.identification.reporting.curves import DRAWN_POINTS, StrokeCurves, keep_extremes, strokes_of
@@ -66,9 +66,7 @@ def browse(page: Path, folder: Path, *settings: str) -> subprocess.CompletedProc
 
 @pytest.fixture(scope="module")
 def diagnosis() -> Diagnosis:
-    friction = {"coulomb_friction": {"force": 0.1}}
-    trace, other = recorded(seed=1, effects=friction), recorded(seed=2, effects=friction)
-    return diagnose([trace], [other], default_valve().exact())
+    return friction_found()
 
 
 @pytest.fixture
@@ -94,7 +92,7 @@ def test_the_page_says_what_was_found(diagnosis: Diagnosis, page: Path) -> None:
 
 
 def test_the_page_says_why_no_force_is_drawn(diagnosis: Diagnosis, tmp_path: Path) -> None:
-    path, nothing = tmp_path / "report.html", "Nothing but noise is left"
+    path, nothing = tmp_path / "report.html", "The residual is only noise"
     assert not diagnosis.before.adequacy.is_white
     report.write_report(replace(diagnosis, maps=()), path)
     assert "alone comes near what is named" in path.read_text(encoding="utf-8")

@@ -115,7 +115,7 @@ def test_growth_of_what_is_declared_is_said_with_what_was_declared() -> None:
 
 
 def test_a_finding_that_names_nothing_says_why() -> None:
-    assert finding_words(found((), {}, kind="none")) == "the last strokes are as those of the commissioned valve"
+    assert finding_words(found((), {}, kind="none")) == "the last strokes do not differ from those at commissioning"
     nearest = found(("pilot_clogging", "main_damping"), {}, kind="unknown", unnamed=0.9)
     assert finding_words(nearest) == (
         "something has changed that no effect of the catalogue explains; the nearest is clogged pilot orifice and main "
@@ -127,7 +127,7 @@ def test_what_is_not_certain_is_not_said_as_if_it_were() -> None:
     force = {"coulomb_friction.force": Interval(0.31, 0.02, 0.27, 0.35)}
     hedged = found(("coulomb_friction",), force, alike=("stiction",), kind="insufficient")
     assert finding_words(hedged) == (
-        "the strokes cannot tell what has changed; the likeliest: Coulomb friction 0.310 ± 0.020 N, none when "
+        "the strokes cannot tell what has changed; the most probable: Coulomb friction 0.310 ± 0.020 N, none when "
         "commissioned (stiction would explain it about as well)"
     )
     assert finding_words(found((), {}, kind="insufficient")).endswith("the likeliest: no change at all")

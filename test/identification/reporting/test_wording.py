@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from identification.recordings import recorded
+from identification.recordings import friction_found, recorded
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.experiment_design import Recommendation
 from valve_sim.identification.diagnosis.run import Diagnosis, Verdict, diagnose
@@ -29,7 +29,7 @@ UNITS = sorted({parameter.unit for entry in CATALOGUE.values() for parameter in 
 
 @pytest.fixture(scope="module")
 def diagnosis() -> Diagnosis:
-    return diagnose([recorded(effects={"coulomb_friction": {"force": 0.1}})], [], default_valve().exact())
+    return friction_found()
 
 
 @pytest.mark.parametrize(

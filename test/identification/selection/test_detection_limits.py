@@ -10,8 +10,7 @@ import pytest
 from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
 from plants.recording import Recorder, record, train_profile
 
-from benchmarks.campaign.cases import declared_valve
-from benchmarks.campaign.running import as_trace
+from benchmarks.campaign.declared import as_trace, declared_valve
 from identification.recordings import Short
 from identification.selection.linear_plant import COLUMNS, LinearPlant, measured, problem_of
 from valve_sim.identification.diagnosis.run import diagnose_plant
@@ -20,9 +19,9 @@ from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Array, EffectChoice, Nuisance
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.reporting.detection_limits import limit_rows
 from valve_sim.identification.reporting.diagnosis_json import to_json
 from valve_sim.identification.reporting.text import diagnosis_text
+from valve_sim.identification.reporting.wording import limit_rows
 from valve_sim.identification.selection.detection_limits import detection_limits
 from valve_sim.identification.selection.posterior import Rivals, decide
 from valve_sim.identification.selection.search import Search

@@ -10,7 +10,7 @@ import pytest
 
 from identification.selection.linear_plant import LinearPlant
 from valve_sim.identification.estimation.condensed import RowPlaces
-from valve_sim.identification.estimation.linearised import Linearised, bounded_step
+from valve_sim.identification.estimation.linearised import Linearised, bounded_steps
 from valve_sim.identification.estimation.noise import Noise
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
@@ -218,7 +218,7 @@ def test_a_step_within_bounds_is_the_least(
     pull: list[float], room: list[tuple[float, float]], expected: float | None
 ) -> None:
     information, slopes, ends = np.array([[4.0, 1.0], [1.0, 2.0]]), np.array(pull), np.array(room)
-    step = bounded_step(information, slopes, ends)
+    (step,) = bounded_steps(information[None], slopes[None], ends)
     first, second = (np.linspace(-low, high, 1801) for low, high in room)
     grid = np.stack([own.ravel() for own in np.meshgrid(first, second, indexing="ij")], axis=1)
     cost = 2.0 * grid @ slopes + np.einsum("ij,jk,ik->i", grid, information, grid)

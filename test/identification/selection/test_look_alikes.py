@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.run import begin
 from valve_sim.identification.plants.valve import ValvePlant
@@ -13,6 +15,7 @@ from valve_sim.traces import read_trace
 BAGS = Path(__file__).parents[3] / "bags"
 
 
+@pytest.mark.long
 def test_no_set_takes_a_value_for_exact_that_another_one_estimates() -> None:
     session = begin(ValvePlant([read_trace(BAGS / "friction")], default_valve()))
     session.name()

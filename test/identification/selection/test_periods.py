@@ -52,6 +52,7 @@ def begun(effects: dict[str, dict[str, float]], *variables: str, recorder: Recor
     return min(fits, key=lambda found: found.chi2)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "recorder",
     [
@@ -87,6 +88,7 @@ def test_the_fits_of_a_few_periods_tell_the_true_one() -> None:
     assert 1.0 / (found.choice.high - found.choice.low) == pytest.approx(frequency, abs=0.1 / DURATION)
 
 
+@pytest.mark.long
 def test_a_white_curve_over_time_does_not_end_the_search() -> None:
     base = begun({"vibration": SLOW}, "t", "t, periodic")
     found = fit_maps(base, [], quietly)

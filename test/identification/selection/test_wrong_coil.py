@@ -8,8 +8,7 @@ import pytest
 from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
 from plants.recording import Recorder, record, train_profile
 
-from benchmarks.campaign.cases import declared_valve
-from benchmarks.campaign.running import as_trace
+from benchmarks.campaign.declared import as_trace, declared_valve
 from identification.recordings import Short
 from valve_sim.identification.diagnosis.outcome import Verdict
 from valve_sim.identification.diagnosis.run import begin

@@ -1,21 +1,19 @@
 """Replay validation: the declared valve passes, another does not, and what must not matter does not."""
 
 from dataclasses import replace
-from functools import partial
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from plants.declared import DeclaredPlant
 from plants.recording import Recorder, Recording, record, train_profile
-from traces.test_summary import Weighed, repeated
 
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.run import diagnose
 from valve_sim.identification.reporting.validation import validation_json, validation_junit, validation_text
-from valve_sim.identification.validation.replay import _errors, _stroke_checks, validate
-from valve_sim.model import EXACT, Drive, Event, EventKind, Tolerances, ValveError
-from valve_sim.traces import Trace, events_from_sensors
+from valve_sim.identification.validation.replay import validate
+from valve_sim.model import EXACT, Drive, Tolerances, ValveError
+from valve_sim.traces import Trace
 
 EXACT_VALVE = default_valve().exact()
 
@@ -98,6 +96,7 @@ def test_tolerances_widen_the_band_and_move_nothing(trace: Trace):
     assert not validate([trace], replace(off, tolerances=EXACT)).passed
 
 
+@pytest.mark.long
 def test_the_corrected_valve_has_the_error_that_the_diagnosis_predicts_of_held_out_strokes(trace: Trace):
     other = as_trace(measured(seed=4, clock_offset=-30e-6, command_jitter=20e-6))
     declared = replace(EXACT_VALVE, tolerances=Tolerances({"spring_preload": 0.05})).with_values(spring_preload=2.56)
@@ -148,35 +147,3 @@ def test_report_and_text_say_the_same(trace: Trace):
     failed = [stroke["passed"] for stroke in report["recordings"][0]["strokes"]].count(False)
     assert failed == text.count("  outside") - 1  # the recording as a whole is outside too
     assert text.endswith("FAILED")
-
-
-class CountedEvents(tuple[Event, ...]):
-    """Events of the model, which count how many of them are looked at."""
-
-    looked_at = 0
-
-    def __getitem__(self, chosen: slice) -> tuple[Event, ...]:  # type: ignore[override]
-        found = tuple(self)[chosen]
-        CountedEvents.looked_at += len(found)
-        return found
-
-
-def test_the_checks_of_strokes_grow_as_the_recording_does() -> None:
-    """Put back, a mask over the whole recording for each stroke, or a search through all events, fails it."""
-
-    def work(strokes: int) -> tuple[int, int]:
-        trace = repeated(strokes)
-        residual, moving = np.zeros(len(trace.times)).view(Weighed), np.ones(len(trace.times), dtype=bool).view(Weighed)
-        events = CountedEvents(Event(float(time), EventKind.PICKED_UP, 0.0, 0.0) for time in trace.drive.times)
-        Weighed.elements = CountedEvents.looked_at = 0
-        seen = {
-            found.stroke: found.events for found in events_from_sensors(trace, default_valve().parameters.pilot_gap)
-        }
-        errors_of = partial(_errors, residual, np.zeros(len(residual)), moving, 1e-6)
-        checks = list(_stroke_checks(trace, seen, (events, 0.0), errors_of))
-        assert sum(check.errors.samples for check in checks) <= len(trace.times)
-        return Weighed.elements, CountedEvents.looked_at
-
-    (few, few_events), (many, many_events) = work(4), work(40)
-    assert many == pytest.approx(10 * few, rel=0.1)
-    assert many_events == 10 * few_events > 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -23,20 +22,6 @@ from valve_sim.model.parameters import Parameter
 
 TIMES = np.linspace(1e-3, 0.03, 80)
 SHIPPED = {name: entry for name, entry in CATALOGUE.items() if entry.is_of(has_gas=False)}
-NEVER_OFF = ("motional_emf",)
-"""Whose declaration alone changes the coil."""
-
-
-@pytest.mark.parametrize("name", [name for name in SHIPPED if name not in NEVER_OFF])
-def test_an_effect_that_is_off_changes_nothing(name: str) -> None:
-    finite = {p.name: p.neutral if math.isfinite(p.neutral) else p.upper for p in SHIPPED[name].parameters}
-    plain = simulate(CALIBRATED, STROKE, TIMES)
-    off = simulate(Valve(CALIBRATED.parameters, {name: finite}), STROKE, TIMES)
-    # Where it is never quite off, the largest value stands for that: 1e3 for u_s, 1 GHz for the sensor.
-    assert off.pilot_position == pytest.approx(
-        plain.pilot_position, abs=2e-9 if name == "magnetic_saturation" else 1e-10
-    )
-    assert [event.kind for event in off.events] == [event.kind for event in plain.events]
 
 
 @pytest.mark.parametrize("name", SHIPPED)

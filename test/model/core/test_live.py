@@ -73,22 +73,6 @@ def test_the_raw_entry_fills_the_row() -> None:
         stepper.advance("soon")  # type: ignore[arg-type]
 
 
-def test_an_exchange_of_parameters_makes_no_jump() -> None:
-    stepper = Stepper(CALIBRATED)
-    stepper.command(0.0, 9.0)
-    before = stepper.advance(7e-3)
-    other = Valve(
-        CALIBRATED.with_values(main_damping=9.0, spring_rate=900.0).parameters,
-        {"coulomb_friction": {"force": 0.2}, "eddy_lag": {"time_constant": 1e-3}, "sensor_delay": {"delay": 1e-3}},
-    )
-    stepper.set_valve(other, 7e-3)
-    after = stepper.advance(7e-3)
-    assert after.pilot_position == pytest.approx(before.pilot_position, rel=1e-14)
-    assert after.pilot_velocity == pytest.approx(before.pilot_velocity, rel=1e-14)
-    assert after.coil_current == pytest.approx(before.coil_current, rel=1e-14)
-    assert stepper.advance(0.05).phase is Phase.OPEN
-
-
 def test_a_stop_that_moved_inwards_takes_the_plungers_along() -> None:
     stepper = Stepper(CALIBRATED)
     stepper.command(0.0, 9.0)

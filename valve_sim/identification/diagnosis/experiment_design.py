@@ -18,6 +18,7 @@ from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Experiment
+from valve_sim.identification.selection.prediction import machine_values
 from valve_sim.model import SimulationError
 
 TELLS_APART: Final = 5.0
@@ -67,29 +68,33 @@ def recommend(candidates: Mapping[str, Fit], experiments: Sequence[Experiment]) 
     Returns:
         None where no experiment separates them, or there are fewer than two candidates.
     """
-    judged = [judgement for experiment in experiments if (judgement := _judge(candidates, experiment)) is not None]
-    best = max(judged, key=lambda recommendation: recommendation.separation, default=None)
+    best = None
+    for experiment in experiments:
+        best = _judge(candidates, experiment, 0.0 if best is None else best.separation) or best
     return best if best is not None and best.repeats <= MOST_REPEATS else None
 
 
-def _judge(candidates: Mapping[str, Fit], experiment: Experiment) -> Recommendation | None:
-    """How well an experiment separates the candidates; None where one of them cannot be simulated."""
-    try:
-        apart = {
-            (one, other): min(
-                _left_of(experiment, candidates[truth], candidates[rival])
-                for truth, rival in ((one, other), (other, one))
-            )
-            for one, other in itertools.combinations(candidates, 2)
-        }
-    except SimulationError:
-        return None
+def _judge(candidates: Mapping[str, Fit], experiment: Experiment, least: float) -> Recommendation | None:
+    """How well an experiment separates the candidates.
+
+    None where one of them cannot be simulated, or as soon as two are not separated by more than the `least`.
+    """
+    apart: dict[tuple[str, str], float] = {}
+    for one, other in itertools.combinations(candidates, 2):
+        for truth, rival in ((one, other), (other, one)):
+            try:
+                found = _left_of(experiment, candidates[truth], candidates[rival])
+            except SimulationError:
+                return None
+            if found <= least:
+                return None
+            apart[one, other] = min(found, apart.get((one, other), math.inf))
     return Recommendation(experiment, apart) if apart else None
 
 
 def _left_of(experiment: Experiment, truth: Fit, rival: Fit) -> float:
     """Standard deviations by which a recording of `truth` differs from the refit of `rival`."""
-    plant = experiment.simulated(_machine(truth))
+    plant = experiment.simulated(machine_values(truth))
     problem = Problem(plant, noises=truth.problem.noises, budget=truth.problem.budget)
     # A declared value with a tolerance may move again, from where the data at hand have left it.
     nuisances = [
@@ -97,12 +102,6 @@ def _left_of(experiment: Experiment, truth: Fit, rival: Fit) -> float:
         for nuisance in plant.nuisances
     ]
     movable = {*rival.free, *(nuisance.name for nuisance in nuisances)}
-    fixed = {name: value for name, value in _machine(rival).items() if name not in movable}
+    fixed = {name: value for name, value in machine_values(rival).items() if name not in movable}
     refit = fit(problem, rival.free, rival.values, nuisances=nuisances, fixed=fixed)
     return math.sqrt(refit.chi2)
-
-
-def _machine(result: Fit) -> dict[str, float]:
-    """The values of a fit that belong to the machine, not to its recordings."""
-    own = {nuisance.name for nuisance in result.nuisances if not nuisance.is_of_machine}
-    return {name: value for name, value in result.values.items() if name not in own}

@@ -59,7 +59,7 @@ class PlantIdentification:
 
     @property
     def plant(self) -> OwnPlant:
-        """What was refitted."""
+        """The refitted parameters."""
         plant = self.fit.problem.plant
         assert isinstance(plant, OwnPlant)
         return plant

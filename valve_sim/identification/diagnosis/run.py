@@ -72,8 +72,6 @@ def diagnose(
     valve: Valve,
     progress: Progress | None = None,
     budget: Budget | None = None,
-    *,
-    is_full: bool = False,
 ) -> Diagnosis:
     """Trace the residual of a declared valve to the effect it lacks.
 
@@ -83,7 +81,6 @@ def diagnose(
         valve: the declared valve.
         progress: told what is being tried, and the fraction done.
         budget: how much work it may do; default as much as it takes.
-        is_full: whether every effect is fitted where the declared valve leaves nothing to be found, too.
 
     Raises:
         SimulationError: the declared valve cannot be simulated.
@@ -94,29 +91,24 @@ def diagnose(
         check_traces(holdout)
     fitted, choice = choose_strokes(traces)
     others = ValvePlant(choose_strokes(holdout)[0], valve) if holdout else None
-    found = diagnose_plant(ValvePlant(fitted, valve), others, progress, budget, is_full=is_full)
+    found = diagnose_plant(ValvePlant(fitted, valve), others, progress, budget)
     return replace(found, choice=choice)
 
 
 def diagnose_plant(
-    plant: Plant,
-    holdout: Plant | None,
-    progress: Progress | None = None,
-    budget: Budget | None = None,
-    *,
-    is_full: bool = False,
+    plant: Plant, holdout: Plant | None, progress: Progress | None = None, budget: Budget | None = None
 ) -> Diagnosis:
     """Trace the residual of any plant to the effect it lacks.
 
     Args:
         plant: the machine with its training data. holdout: the same machine with other data, or None.
-        progress, budget, is_full: as of `diagnose`.
+        progress, budget: as of `diagnose`.
 
     Raises:
         PlantError: a plant does not keep to what a `Plant` promises.
         SimulationError: the declared model cannot be simulated.
     """
-    return begin(plant, holdout, progress, budget).end(is_full=is_full)
+    return begin(plant, holdout, progress, budget).end()
 
 
 def begin(
@@ -164,6 +156,7 @@ def _begun(
     problem = _with_least(problem.with_noises({kind: known[kind] for kind in never_still if kind in known}), least)
     unknown = [kind for kind in never_still if kind not in known]
     if unknown:
+        say("noise, by what all effects together leave", 0.0)
         problem = problem.with_noise_left_by(_largest_fit(problem).values)
     held_out = None
     if holdout is not None:
@@ -214,7 +207,7 @@ class DiagnosisSession:
         return self._search.tried[()].fit
 
     def name(self) -> VerdictWithIntervals:
-        """Search, and decide: what a diagnosis names, and nothing of what a report has beside."""
+        """Search and decide: the verdict with its intervals, without the further contents of a report."""
         self._run(is_full=False)
         decision = self._decided().decision
         result = self._fit_of(decision)
@@ -222,7 +215,11 @@ class DiagnosisSession:
         return VerdictWithIntervals(self._verdict(decision), {name: exact(result, name) for name in result.free})
 
     def end(self, *, is_full: bool = False) -> Diagnosis:
-        """Search, decide, and describe the result; `is_full` as of `diagnose`."""
+        """Search, decide, and describe the result.
+
+        Args:
+            is_full: whether every effect is fitted where the declared model leaves nothing to be found, too.
+        """
         with named_interrupts(self._plant):
             return self._ended(is_full=is_full)
 
@@ -280,7 +277,7 @@ class DiagnosisSession:
     # -- what is claimed -----------------------------------------------------------------------------------------------
 
     def _decided(self) -> Grounds:
-        """What the verdict follows from, curves and held-out odds among it."""
+        """The table of evidence from which the verdict follows, with curves and held-out odds."""
         posterior = self._search.posterior()
         curves = self._search.curves if posterior.unnamed > PROMISING else []
         best = leader_of({names: share.total for names, share in posterior.shares.items()}, posterior.fitted)
@@ -315,7 +312,7 @@ class DiagnosisSession:
         return max(float(rmse(result)) ** 2 - float(self._search.problem.noise.sigma) ** 2, 0.0)
 
     def _worth(self, names: Set) -> dict[str, Worth]:
-        """What each of some named effects is worth."""
+        """How much of the squared error each of some named effects explains."""
         left = {frozenset(key): self._left(tried.fit) for key, tried in self._search.tried.items()}
         declared, whole = left[frozenset()], left[frozenset(names)]
         gains: dict[str, float] = {}
@@ -387,7 +384,7 @@ class DiagnosisSession:
         return tuple(describe(entry.choice, entry.fit, base) for entry in maps)
 
     def _near(self, decision: Decision) -> list[Set]:
-        """What is named, and what would do in its place."""
+        """The named effects, and the look-alikes of each."""
         found = [decision.names]
         for name, others in decision.others.items():
             for other in others:

@@ -31,10 +31,10 @@ from valve_sim.identification.plants.protocol import (
     Direction,
     Nuisance,
     Plant,
+    Thinnable,
     strokes_of_plant,
     varying_of,
 )
-from valve_sim.identification.plants.thinning import Thinnable
 from valve_sim.model import SimulationError
 from valve_sim.model.core.machine import made_once
 from valve_sim.model.core.native import native
@@ -144,7 +144,7 @@ class Condensed:
 
     @functools.cached_property
     def places(self) -> RowPlaces:
-        """Where the rows were measured."""
+        """Time and stroke of each row, whether it is in motion, and its weight."""
         parts = [(layout.times, layout.groups, layout.moves, layout.steady) for layout in self._layouts]
         return places_of([channel.recording for channel in self._recordings], parts)
 

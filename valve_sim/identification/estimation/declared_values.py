@@ -112,17 +112,15 @@ def estimated_valve(result: Fit, plant: ValvePlant) -> Valve:
 
 def _machine(result: Fit) -> tuple[list[str], Array]:
     """Names of what was estimated of the machine, and its covariance in the unit of each."""
-    names = [*result.free, *(nuisance.name for nuisance in result.nuisances)]
-    own = [
-        *range(len(result.free)),
-        *(len(result.free) + at for at, nuisance in enumerate(result.nuisances) if nuisance.is_of_machine),
-    ]
+    own = result.of_machine
     covariance = result.covariance[np.ix_(own, own)]
     slopes = np.ones(len(own))
     for at, name in enumerate(result.free):
         slopes[at] = internal_slope(result.problem.plant.parameter(name), float(result.coordinates[at]))
     slopes = np.where(np.isfinite(slopes), slopes, 0.0)
-    return [names[at] for at in own], np.where(np.isfinite(covariance), covariance, 0.0) * np.outer(slopes, slopes)
+    return [result.names[at] for at in own], np.where(np.isfinite(covariance), covariance, 0.0) * np.outer(
+        slopes, slopes
+    )
 
 
 def _is_tolerance(sigma: float, rule: Parameter) -> bool:

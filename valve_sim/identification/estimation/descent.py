@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import cached_property
 from typing import Final, NamedTuple
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from valve_sim.identification.estimation.column_groups import ColumnGroup
 from valve_sim.identification.estimation.gram import gram, sum_squares
-from valve_sim.identification.estimation.priors import Elsewhere, Prior, lowest, prior_of_nuisance
+from valve_sim.identification.estimation.priors import Elsewhere, Prior, lowest, prior_of_nuisance, pulls_of
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import FIRST_DAMPING, NO_INFORMATION, Fit, MachineKnowledge
 from valve_sim.identification.estimation.smoothing import Smoothness
@@ -64,13 +64,11 @@ class SolverOptions(NamedTuple):
     """How far a fit is carried.
 
     Attributes:
-        robust: scales in σ of a Cauchy loss that is used first, one after the other, to leave local minima.
         goal: χ² that is of interest: a fit that cannot reach it any more is given up. Default: all are.
         made: iterations that were made before, from other values to these. most: at which the fit ends.
         is_near: whether it starts where a fit has ended, so that nothing need be held first.
     """
 
-    robust: Sequence[float] = ()
     goal: float = math.inf
     made: int = 0
     most: int = MOST_ITERATIONS
@@ -300,7 +298,7 @@ class Descent:
             raise SimulationError("the model cannot be simulated at the start of the fit")
         return residuals, self.jacobian(at, residuals)
 
-    def descend(self, at: Array, cauchy: float, effort: SolverOptions = WHOLE, begun: Fit | None = None) -> End:
+    def descend(self, at: Array, effort: SolverOptions = WHOLE, begun: Fit | None = None) -> End:
         """Gauss–Newton with Levenberg's damping, variables on a bound held while the gradient points outwards."""
         jacobian: Array | None
         residuals, jacobian = self.begin(at, begun)
@@ -308,9 +306,9 @@ class Descent:
         converged, decrease, chi2_lower_bound = False, 0.0, -math.inf
         # Columns that serve a fit that is gone on with may be those of some steps before.
         is_stale = begun is not None and begun.derivatives.at_hand is not None and self._reuses
-        of_data = self.normal(at, residuals, jacobian, cauchy)
+        of_data = self.normal(at, residuals, jacobian)
         information, gradient = self._with_curve(at, *of_data)
-        cost = self._cost(at, residuals, cauchy)  # the weight of a curve is another now
+        cost = self._cost(at, residuals)  # the weight of a curve is another now
         for iteration in range(effort.made, effort.most):
             move, gain = self.step(at, information, gradient, damping)
             if gain < self._small:
@@ -321,7 +319,7 @@ class Descent:
                 break
             candidate = np.clip(at + move, self.lower, self.upper)
             there = self.residuals(candidate)
-            new_cost = self._cost(candidate, there, cauchy) if there is not None else math.inf
+            new_cost = self._cost(candidate, there) if there is not None else math.inf
             if there is not None and new_cost < cost:
                 decrease = cost - new_cost
                 converged = decrease < self._small
@@ -340,32 +338,28 @@ class Descent:
                     break
                 # The derivatives are those of before; the weights of a curve are chosen once more.
                 information, gradient = self._with_curve(at, *of_data)
-                cost = self._cost(at, residuals, cauchy)
+                cost = self._cost(at, residuals)
                 continue
             if converged:
                 # The last step was too small to change the information; of most fits nobody asks for more.
                 jacobian = None
                 break
             jacobian = self.jacobian(at, residuals)
-            of_data = self.normal(at, residuals, jacobian, cauchy)
+            of_data = self.normal(at, residuals, jacobian)
             information, gradient = self._with_curve(at, *of_data)
-            cost = self._cost(at, residuals, cauchy)
+            cost = self._cost(at, residuals)
         return End(at, cost, residuals, jacobian, information, gradient, converged, damping, chi2_lower_bound)
 
-    def normal(self, at: Array, residuals: Array, jacobian: Array, cauchy: float) -> tuple[Array, Array]:
+    def normal(self, at: Array, residuals: Array, jacobian: Array) -> tuple[Array, Array]:
         """Information matrix and half the gradient of the criterion, priors included but for that of a curve."""
         if self.problem.whitens:
             both = self.problem.whitened(np.column_stack([jacobian, residuals]))
             jacobian, residuals = both[:, :-1], both[:, -1]
-        if math.isfinite(cauchy):
-            weighted = jacobian / (1.0 + np.square(residuals / cauchy))[:, None]
-        else:
-            weighted = jacobian
-        return self.with_priors(at, gram(weighted, jacobian), gram(weighted, residuals))
+        return self.with_priors(at, gram(jacobian, jacobian), gram(jacobian, residuals))
 
     def with_priors(self, at: Array, of_data: Array, pull: Array) -> tuple[Array, Array]:
         """Information and half the gradient with priors, from JᵀJ and Jᵀe of the residuals and their derivatives."""
-        _, half_slopes, curvatures = self.pulls(at)
+        _, half_slopes, curvatures = pulls_of(self.priors, at)
         information = of_data + np.diag(curvatures)
         if not np.all(np.isfinite(information)):
             # A pilot plunger of next to no mass, for one, whose derivatives are squared beyond all numbers.
@@ -375,11 +369,6 @@ class Descent:
             information += self._known
             gradient += self._known @ (at - self._centre)
         return information, gradient
-
-    def pulls(self, at: Array) -> Array:
-        """(3, k + m) what the priors add: costs, half of their slopes, and curvatures."""
-        found = [own.pull(float(coordinate)) for own, coordinate in zip(self.priors, at, strict=True)]
-        return np.array(found, dtype=np.float64).reshape(-1, 3).T
 
     def _with_curve(self, at: Array, information: Array, gradient: Array) -> tuple[Array, Array]:
         """Information and gradient with the prior of a smooth curve, whose weights are chosen anew until they hold."""
@@ -392,17 +381,15 @@ class Descent:
             gradient[curve] += self.smooth.precision @ at[curve]
         return information, gradient
 
-    def _cost(self, at: Array, residuals: Array, cauchy: float) -> float:
+    def _cost(self, at: Array, residuals: Array) -> float:
         if self.problem.whitens:
             residuals = self.problem.whitened(residuals[:, None])[:, 0]
-        prior = float(np.sum(self.pulls(at)[0]))
+        prior = float(np.sum(pulls_of(self.priors, at)[0]))
         if self._known is not None:
             prior += float((at - self._centre) @ self._known @ (at - self._centre))
         if self.smooth is not None:
             prior += float(at[self._curve] @ self.smooth.precision @ at[self._curve])
-        if not math.isfinite(cauchy):
-            return sum_squares(residuals) + self.rows.constant + prior
-        return float(cauchy**2 * np.sum(np.log1p(np.square(residuals / cauchy)))) + prior
+        return sum_squares(residuals) + self.rows.constant + prior
 
     def step(self, at: Array, information: Array, gradient: Array, damping: float) -> tuple[Array, float]:
         """The damped step within bounds, and the decrease that it promises."""

@@ -61,10 +61,10 @@ class DescentInSums(Descent):
         """None yet."""
         return np.empty((0, len(at)))
 
-    def normal(self, at: Array, residuals: Array, jacobian: Array, cauchy: float) -> tuple[Array, Array]:
+    def normal(self, at: Array, residuals: Array, jacobian: Array) -> tuple[Array, Array]:
         """Information matrix and half the gradient of the criterion, priors included but for that of a curve."""
         directions = [self.direction(at, [index]) for index in range(len(at))]
-        if math.isfinite(cauchy) or STANDING in directions:
+        if STANDING in directions:
             raise NotInPieces
         try:
             sums = self.problem.sums(self.values(at), directions)

@@ -27,7 +27,7 @@ PIVOT: Final = 1e-5
 EVEN: Final = 1e-6
 """Information, in inverse squares of a range, that changes nothing within it."""
 TINY: Final = 1e-200
-"""What is divided by at the least."""
+"""Smallest divisor."""
 FAR: Final = 6.0
 """Standard deviations beyond which an end of a range takes nothing away."""
 
@@ -49,9 +49,12 @@ def log_volume(information: Array, slopes: Array, room: Array) -> float:
     log_determinant, variances = _inverted(information * np.outer(scale, scale))
     volume = 0.5 * count * math.log(2.0 * math.pi) - 0.5 * log_determinant + float(np.sum(np.log(scale)))
     sigmas = np.sqrt(variances) * scale
+    near = np.flatnonzero(~(room.min(axis=1) > FAR * sigmas))
     return volume + sum(
         _log_share(sigma, slope, below, above)
-        for sigma, slope, (below, above) in zip(sigmas.tolist(), slopes.tolist(), room.tolist(), strict=True)
+        for sigma, slope, (below, above) in zip(
+            sigmas[near].tolist(), slopes[near].tolist(), room[near].tolist(), strict=True
+        )
     )
 
 
@@ -72,8 +75,6 @@ def _inverted(normal: Array) -> tuple[float, Array]:
 
 def _log_share(sigma: float, slope: float, below: float, above: float) -> float:
     """Ln of ∫ exp(−g d − d²/(2 σ²)) dd from −below to above, over √(2π) σ."""
-    if below > FAR * sigma and above > FAR * sigma:
-        return 0.0
     # At an end of the range the gradient points outwards: the Gaussian's centre lies beyond it.
     is_held = (below == 0.0 and slope > 0.0) or (above == 0.0 and slope < 0.0)
     centre = -slope * sigma**2 if is_held else 0.0

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Final, NamedTuple, TypeGuard
+from typing import NamedTuple, TypeGuard
 
 import numpy as np
 
 from valve_sim.identification.estimation.result import Fit
+from valve_sim.identification.plants.covariance_root import covariance_root
 from valve_sim.identification.plants.protocol import Array, Plant, from_internal, internal_bounds
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import SimulationError
 from valve_sim.traces import Trace
-
-SMALLEST_SHARE: Final = 1e-10
-"""Of a covariance scaled to a unit diagonal: eigenvalues below this share of the largest change nothing."""
 
 
 class FollowedPosition(NamedTuple):
@@ -72,7 +70,7 @@ def followed_positions(found: Fit, rivals: Sequence[tuple[Fit, float]] = ()) -> 
 
 def a_standard_error_apart(found: Fit) -> Iterator[tuple[Mapping[str, float], Mapping[str, float]]]:
     """What was estimated, one standard error to either side along each s_j of the square root of its covariance."""
-    for step in _root(found.covariance).T:
+    for step in covariance_root(found.covariance).T:
         yield _values(found, found.coordinates + step), _values(found, found.coordinates - step)
 
 
@@ -87,14 +85,3 @@ def _values(found: Fit, at: Array) -> Mapping[str, float]:
         low, high = nuisance.bounds
         values[nuisance.name] = float(np.clip(coordinate, low, high))
     return values
-
-
-def _root(covariance: Array) -> Array:
-    """(k, r) S with S Sᵀ = C; what the data do not determine at all is left out."""
-    errors = np.sqrt(np.diag(covariance))
-    known = np.isfinite(errors)
-    scale = np.where(known & (errors > 0.0), errors, 1.0)
-    kept = np.where(np.outer(known, known), covariance, 0.0)
-    sizes, directions = np.linalg.eigh(kept / np.outer(scale, scale))
-    is_kept = sizes > SMALLEST_SHARE * max(float(sizes[-1]), 0.0)
-    return np.asarray(scale[:, None] * directions[:, is_kept] * np.sqrt(sizes[is_kept]))

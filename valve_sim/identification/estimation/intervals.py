@@ -18,6 +18,8 @@ from valve_sim.model import SimulationError
 CHI2_RISE_95: Final = float(chdtri(1, 0.05))
 """By how much χ² rises at the ends of a 95 % interval: 3.84. (scipy.stats would take half a second to load.)"""
 
+POINTS: Final = 12
+"""Refits that are spent on each side of a profile."""
 FLAT: Final = 0.1
 """Share of that rise below which a profile is flat."""
 
@@ -59,13 +61,12 @@ def covariance_interval(result: Fit, name: str) -> Interval:
     return Interval(result.values[name], result.stderr(name), ends[0], ends[1])
 
 
-def profile_interval(result: Fit, name: str, *, points: int = 12) -> tuple[Interval, list[tuple[float, float]]]:
+def profile_interval(result: Fit, name: str) -> tuple[Interval, list[tuple[float, float]]]:
     """The 95 % interval by profile likelihood: where χ², all others refitted, has risen by 3.84: theory, eq. (33).
 
     Args:
         result: a converged fit.
         name: one of its freed parameters.
-        points: how many refits to spend on each side.
 
     Returns:
         the interval, and the profile as (value, rise of χ²) pairs in ascending order of value.
@@ -79,7 +80,7 @@ def profile_interval(result: Fit, name: str, *, points: int = 12) -> tuple[Inter
     spread = min(spread, 10.0 * max(natural, abs(at))) if spread > 0 else natural
     # χ² is that of known sizes of the recordings' errors.
     level = CHI2_RISE_95 * result.widening(name)
-    walk = ProfileState(result, name, at, spread, level, points, _slopes_along(result, index))
+    walk = ProfileState(result, name, at, spread, level, _slopes_along(result, index))
     low, high = _profile_side(walk, -1.0, lower), _profile_side(walk, 1.0, upper)
     ends = sorted(from_internal(parameter, side.end) for side in (low, high))
     unbounded = None
@@ -104,16 +105,14 @@ class ProfileState(NamedTuple):
     at: float
     spread: float
     level: float
-    points: int
     slopes: Mapping[str, float]
 
 
 def _slopes_along(result: Fit, index: int) -> dict[str, float]:
     """How all others go along with one parameter, if each is always at its best: Cov(·, own)/Var(own)."""
     own, variance = result.covariance[index], float(result.covariance[index, index])
-    names = [*result.free, *(nuisance.name for nuisance in result.nuisances)]
     known = math.isfinite(variance) and variance > 0.0
-    slopes = zip(names, own.tolist(), strict=True)
+    slopes = zip(result.names, own.tolist(), strict=True)
     return {name: by / variance for name, by in slopes if known and math.isfinite(by) and name != result.free[index]}
 
 
@@ -139,7 +138,7 @@ def _profile_side(walk: ProfileState, sign: float, bound: float) -> _Side:
     curve: list[tuple[float, float]] = []
     inside, outside = (at, 0.0), None
     step = 1.96 * spread
-    for _ in range(walk.points):
+    for _ in range(POINTS):
         if outside is None:
             where = inside[0] + sign * step
             step *= 2.0

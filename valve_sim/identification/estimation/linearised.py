@@ -25,7 +25,7 @@ from scipy.linalg.lapack import dpotri
 
 from valve_sim.identification.estimation.evidence import log_volume
 from valve_sim.identification.estimation.gram import gram
-from valve_sim.identification.estimation.priors import Normal
+from valve_sim.identification.estimation.priors import Normal, log_density_of, pulls_of
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.structured_noise import ErrorRows, Group
 from valve_sim.identification.plants.protocol import Array
@@ -86,7 +86,7 @@ class Linearised:
         return np.hstack(self._rows)
 
     def log_constant(self, sizes: Array) -> float:
-        """What errors of these sizes add to ln p beside what `rows` say."""
+        """The terms of ln p from errors of these sizes, beyond those of `rows`."""
         return 0.0 if self._errors is None else self._sized(sizes).log_constant
 
     def _sized(self, sizes: Array) -> ErrorRows:
@@ -141,26 +141,25 @@ class Linearised:
     def log_evidence(self, sizes: Array) -> float:
         """Ln p(data | model) with errors of these sizes, on the scale of `Fit.log_evidence`."""
         rows = self.rows(sizes)
-        return self.evidence_of(sizes)(gram(rows, rows)) + self.log_constant(sizes)
+        return float(self.evidence_of(sizes)(gram(rows, rows)[None])[0]) + self.log_constant(sizes)
 
-    def evidence_of(self, sizes: Array) -> Callable[[Array], float]:
-        """What works that out from the (k + 1, k + 1) Gram matrix of `rows`, but for the constant of the sizes."""
+    def evidence_of(self, sizes: Array) -> Callable[[Array], Array]:
+        """What works that out from (n, k + 1, k + 1) Gram matrices of `rows`, but for the constant of the sizes."""
         result, count = self._result, self._moved
         priors = [
             own if number < 0 else Normal(0.0, float(sizes[number]))
             for own, number in zip(result.priors, self._varying.tolist(), strict=True)
         ]
-        at = result.coordinates.tolist()
-        pulls = [own.pull(place) for own, place in zip(priors, at, strict=True)]
-        curvatures = np.diag([*(own.curvature for own in pulls), *([1.0] * count)])
-        slopes = np.array([*(own.half_slope for own in pulls), *([0.0] * count)])
-        known = math.fsum(own.log_density(place) for own, place in zip(priors, at, strict=True)) + self._constant
+        _, half_slopes, own_curvatures = pulls_of(priors, result.coordinates)
+        curvatures = np.diag(np.append(own_curvatures, np.ones(count)))
+        slopes = np.append(half_slopes, np.zeros(count))
+        known = log_density_of(priors, result.coordinates) + self._constant
         if result.smooth is not None:
             where = np.array(result.curve, dtype=np.intp)
             curvatures[np.ix_(where, where)] += result.smooth.precision
             slopes[where] += result.smooth.precision @ result.coordinates[where]
             known += result.smooth.log_density(result.coordinates[where])
-        return lambda of_both: _log_evidence(of_both, curvatures, slopes, self._room) + known
+        return lambda of_all: _log_evidences(of_all, curvatures, slopes, self._room) + known
 
     def by_sizes(self, of_all: Array | None = None, *, is_read: bool = True) -> BySizes:
         """All that is estimated as a function of the sizes.
@@ -177,9 +176,8 @@ class Linearised:
         at[:count] = np.where(self._varying >= 0, result.coordinates, 0.0)
         pull -= information @ at
         is_fixed = self._owners < 0
-        pulls = [own.pull(float(place)) for own, place in zip(result.priors, result.coordinates, strict=True)]
         curvature, slope = np.ones(len(is_fixed)), np.zeros(len(is_fixed))
-        curvature[:count], slope[:count] = [own.curvature for own in pulls], [own.half_slope for own in pulls]
+        _, slope[:count], curvature[:count] = result.pulls
         information[is_fixed, is_fixed] += curvature[is_fixed]
         pull[is_fixed] += slope[is_fixed]
         if result.smooth is not None:
@@ -367,28 +365,46 @@ def _factored(matrix: Array) -> Any:
     return cho_factor(matrix + len(matrix) * np.eye(len(matrix)), lower=True, check_finite=False)
 
 
-def _log_evidence(of_both: Array, priors: Array, slopes: Array, room: Array) -> float:
-    """−½ of the least criterion of a linearised model, with its volume, but for what is constant.
+def _log_evidences(of_all: Array, priors: Array, slopes: Array, room: Array) -> Array:
+    """(n,) −½ of the least criterion of each of n linearised models, with its volume, but for what is constant.
 
     Args:
-        of_both: (k + 1, k + 1) Gram matrix of derivatives and residuals. priors: (k, k) curvatures.
+        of_all: (n, k + 1, k + 1) Gram matrices of derivatives and residuals. priors: (k, k) curvatures.
         slopes: (k,) half of the slopes of the priors. room: (k, 2) to the ends of the ranges.
     """
-    information, pull = of_both[:-1, :-1] + priors, of_both[:-1, -1] + slopes
-    if not len(pull):
-        return -0.5 * float(of_both[-1, -1])
-    move = bounded_step(information, pull, room)
-    gain = -float(2.0 * pull @ move + move @ information @ move)
-    left = np.column_stack([room[:, 0] + move, room[:, 1] - move])
-    return -0.5 * (float(of_both[-1, -1]) - gain) + log_volume(information, pull + information @ move, left)
+    found = -0.5 * of_all[:, -1, -1]
+    if not len(slopes):
+        return found
+    information, pulls = of_all[:, :-1, :-1] + priors, of_all[:, :-1, -1] + slopes
+    for place, (own, pull, move) in enumerate(
+        zip(information, pulls, bounded_steps(information, pulls, room), strict=True)
+    ):
+        left = np.column_stack([room[:, 0] + move, room[:, 1] - move])
+        ahead = own @ move
+        gain = -float(2.0 * pull @ move + move @ ahead)
+        found[place] += 0.5 * gain + log_volume(own, pull + ahead, left)
+    return found
 
 
-def bounded_step(information: Array, pull: Array, room: Array) -> Array:
-    """(k,) d of the least 2 gᵀ d + dᵀ A d within −room[:, 0] ≤ d ≤ room[:, 1]; ends are held one after another."""
-    count = len(pull)
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
-    normal = information * np.outer(scale, scale) + 1e-12 * np.eye(count)
-    target, low, high = scale * pull, -room[:, 0] / scale, room[:, 1] / scale
+def bounded_steps(information: Array, pulls: Array, room: Array) -> Array:
+    """(n, k) d of the least 2 gᵀ d + dᵀ A d within −room[:, 0] ≤ d ≤ room[:, 1], for each of n.
+
+    Args:
+        information: (n, k, k) A. pulls: (n, k) g. room: (k, 2).
+    """
+    count = pulls.shape[1]
+    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(information, axis1=1, axis2=2), np.finfo(float).tiny))
+    normal = information * (scale[:, :, None] * scale[:, None, :]) + 1e-12 * np.eye(count)
+    targets, low, high = scale * pulls, -room[:, 0] / scale, room[:, 1] / scale
+    moves = -np.linalg.solve(normal, targets[:, :, None])[:, :, 0]
+    for place in np.flatnonzero(((moves < low) | (moves > high)).any(axis=1)).tolist():
+        moves[place] = _within(normal[place], targets[place], low[place], high[place])
+    return np.asarray(moves * scale)
+
+
+def _within(normal: Array, target: Array, low: Array, high: Array) -> Array:
+    """(k,) d of the least 2 gᵀ d + dᵀ A d between two ends; ends are held one after another."""
+    count = len(target)
     move, held = np.zeros(count), np.zeros(count, dtype=bool)
     for _ in range(count + 1):
         free = ~held
@@ -401,4 +417,4 @@ def bounded_step(information: Array, pull: Array, room: Array) -> Array:
             break
         move[beyond] = np.clip(move[beyond], low[beyond], high[beyond])
         held |= beyond
-    return np.asarray(move * scale)
+    return move

@@ -15,6 +15,7 @@ catalogue are small where they are there at all, and a few are large (Gelman, Ba
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -170,6 +171,17 @@ def prior_of(plant: Plant, name: str) -> Prior:
         # Of a rate: slower ones, down to none at all, are as likely as faster ones.
         return Cauchy(lower, scale, HALF)
     return Cauchy(centre, scale, 1.0 if lower < centre < upper else HALF)
+
+
+def pulls_of(priors: Sequence[Prior], at: Array) -> Array:
+    """(3, k) what priors add to a fit at (k,) coordinates: costs, half of their slopes, and curvatures."""
+    found = [own.pull(place) for own, place in zip(priors, at.tolist(), strict=True)]
+    return np.array(found, dtype=np.float64).reshape(-1, 3).T
+
+
+def log_density_of(priors: Sequence[Prior], at: Array) -> float:
+    """Natural logarithm of the density of independent priors at (k,) coordinates."""
+    return math.fsum(own.log_density(place) for own, place in zip(priors, at.tolist(), strict=True))
 
 
 def lowest(prior: Prior) -> float:

@@ -1,4 +1,4 @@
-"""What a fit is held against: measured channels, their noise, and which samples take part, as whitened residuals."""
+"""The data of a fit as whitened residuals: measured channels, their noise, and the samples that take part."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ from valve_sim.identification.plants.protocol import (
     InPieces,
     Nuisance,
     Plant,
+    Thinnable,
     primary_channels,
     strokes_of_plant,
 )
-from valve_sim.identification.plants.thinning import Thinnable
 from valve_sim.model import SimulationError
 
 Mask = Callable[[int, NDArray[np.integer]], NDArray[np.bool_]]
@@ -65,7 +65,7 @@ class Problem:
         budget: of the fits to it; default no limit.
 
     Attributes:
-        constant: what is to be added to the sum of squares of its residuals. counts: samples that each stands for.
+        constant: added to the sum of squares of its residuals. counts: number of samples that each residual stands for.
         errors: of the recordings, with their sizes; None: there are none that have columns.
         whitening: of the rows that fits compare, beside that of noise and errors; None: nothing is whitened further.
     """
@@ -138,7 +138,7 @@ class Problem:
 
     @property
     def log_constant(self) -> float:
-        """What the sizes of the recordings' errors add to ln p of any model."""
+        """The share of the sizes of the recordings' errors in ln p of any model."""
         return 0.0 if self.error_rows is None else self.error_rows.log_constant
 
     def with_noise_left_by(self, values: Mapping[str, float]) -> Problem:
@@ -175,7 +175,7 @@ class Problem:
 
     @property
     def rows(self) -> Problem | Condensed:
-        """What fits compare: this, or fewer rows that say the same."""
+        """The problem that fits solve: this one, or an equivalent one with fewer rows."""
         return self._condensed_rows or self
 
     @functools.cached_property
@@ -218,7 +218,7 @@ class Problem:
 
     @functools.cached_property
     def _simulated(self) -> int:
-        """How many strokes a simulation of the plant is."""
+        """Number of strokes in one simulation of the plant."""
         return max(1, len(strokes_of_plant(self.plant)))
 
     @functools.cached_property
@@ -247,7 +247,7 @@ class Problem:
 
     @functools.cached_property
     def places(self) -> RowPlaces:
-        """Where the residuals were measured."""
+        """Time and stroke of each residual, whether it is in motion, and its weight."""
         parts = []
         for index, channel in enumerate(self.plant.channels):
             noise, weight = self.noise_of(index), self._weights[index]

@@ -21,7 +21,7 @@ DRAWS: Final = 32
 ROBUST: Final = 20.0
 """σ: scale of the cost by which these are compared, so that one impact at another time does not decide."""
 REDRAWN: Final = 3
-"""How often they are drawn, at most."""
+"""Largest number of draws."""
 
 
 def fit_recording(problem: Problem, machine: Mapping[str, float], known: StructuredNoise | None = None) -> Fit:

@@ -12,7 +12,7 @@ import numpy as np
 
 from valve_sim.identification.estimation.evidence import log_volume
 from valve_sim.identification.estimation.gram import gram
-from valve_sim.identification.estimation.priors import Prior
+from valve_sim.identification.estimation.priors import Prior, log_density_of, pulls_of
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.smoothing import Smoothness
 from valve_sim.identification.estimation.structured_noise import shown_by
@@ -129,6 +129,22 @@ class Fit:
     chi2_lower_bound: float = -math.inf
     further: Array | None = field(default=None, repr=False)
 
+    @functools.cached_property
+    def names(self) -> list[str]:
+        """(k + m) of what was estimated: what was freed, and nuisances."""
+        return [*self.free, *(nuisance.name for nuisance in self.nuisances)]
+
+    @functools.cached_property
+    def of_machine(self) -> list[int]:
+        """Indices among `names` of what belongs to the machine, and not to its recordings."""
+        count = len(self.free)
+        return [*range(count), *(count + at for at, own in enumerate(self.nuisances) if own.is_of_machine)]
+
+    @functools.cached_property
+    def of_recordings(self) -> list[int]:
+        """Indices of all others: errors of the recordings."""
+        return sorted({*range(len(self.names))} - {*self.of_machine})
+
     @property
     def residuals(self) -> Array:
         """(n,) whitened residuals of all channels in a row."""
@@ -209,14 +225,12 @@ class Fit:
     @property
     def machine(self) -> MachineKnowledge:
         """What is known of the machine when the errors of the recordings are estimated along: theory, eq. (83)."""
-        is_of_machine = [True] * len(self.free) + [nuisance.is_of_machine for nuisance in self.nuisances]
-        own, others = np.flatnonzero(is_of_machine), np.flatnonzero(~np.array(is_of_machine))
+        own, others = self.of_machine, self.of_recordings
         between = self.information[np.ix_(own, others)]
         known = self.information[np.ix_(own, own)]
         if len(others):
             known = known - between @ np.linalg.solve(self.information[np.ix_(others, others)], between.T)
-        names = [*self.free, *(nuisance.name for nuisance in self.nuisances)]
-        return MachineKnowledge(tuple(names[index] for index in own), self.coordinates[own], known)
+        return MachineKnowledge(tuple(self.names[index] for index in own), self.coordinates[own], known)
 
     @property
     def deviations(self) -> Array:
@@ -224,14 +238,18 @@ class Fit:
         return np.array([(self.values[own.name] - own.mean) / own.sigma for own in self.nuisances])
 
     @functools.cached_property
+    def pulls(self) -> Array:
+        """(3, k + m) what the priors add where the fit is: costs, half of their slopes, and curvatures."""
+        return pulls_of(self.priors, self.coordinates)
+
+    @functools.cached_property
     def log_evidence(self) -> float:
         """Natural logarithm of the evidence ln p(data | model), but for a constant of the data: theory, eq. (41).
 
         Laplace's approximation about the optimum, with the share of the Gaussian that lies within the ranges.
         """
-        costs = sum(own.pull(float(at)).cost for own, at in zip(self.priors, self.coordinates, strict=True))
-        densities = sum(own.log_density(float(at)) for own, at in zip(self.priors, self.coordinates, strict=True))
-        misfit = self.chi2 - costs - self._penalty
+        misfit = self.chi2 - math.fsum(self.pulls[0].tolist()) - self._penalty
+        densities = log_density_of(self.priors, self.coordinates)
         found = -0.5 * misfit + densities + log_volume(self.information, self.slopes, self.room)
         found += self.problem.log_constant
         return found if self.smooth is None else found + self.smooth.log_density(self.coordinates[self.curve])
@@ -251,9 +269,8 @@ class Fit:
         where = np.array(self.curve, dtype=np.int64)
         of_data = self.information.copy()
         of_data[np.ix_(where, where)] -= self.smooth.precision
-        pulls = [own.pull(float(at)).half_slope for own, at in zip(self.priors, self.coordinates, strict=True)]
         rows = self.problem.whitened(np.column_stack([self.derivatives.condensed(), self.left.condensed()]))
-        gradient = gram(rows[:, :-1], rows[:, -1]) + np.array(pulls)
+        gradient = gram(rows[:, :-1], rows[:, -1]) + self.pulls[1]
         return self.smooth.covariance(of_data, gradient, self.coordinates, where)
 
     @property
@@ -263,7 +280,7 @@ class Fit:
 
     @property
     def _penalty(self) -> float:
-        """What a smooth curve's prior adds to the criterion."""
+        """The share of a smooth curve's prior in the criterion."""
         if self.smooth is None:
             return 0.0
         at = self.coordinates[self.curve]

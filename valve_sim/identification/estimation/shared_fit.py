@@ -98,8 +98,7 @@ def share_of(
     gradient[shared:] += (priors * off)[len(machine) :]
     information = there.information.copy()
     # Of the machine's values the priors count once, not once for each recording.
-    curvatures = [own.pull(float(at)).curvature for own, at in zip(there.priors, there.coordinates, strict=True)]
-    information[np.arange(shared), np.arange(shared)] -= curvatures[:shared]
+    information[np.arange(shared), np.arange(shared)] -= there.pulls[2, :shared]
     between, inside = information[:shared, shared:], information[shared:, shared:]
     # What is left of the own nuisances' gradient is a step that is taken here.
     solved = np.linalg.solve(inside, np.column_stack([gradient[shared:], between.T]))
@@ -154,7 +153,7 @@ class DescentOverRecordings(Descent):
         """None: shares hold the products of their derivatives."""
         return np.empty((0, len(at)))
 
-    def normal(self, at: Array, residuals: Array, jacobian: Array, cauchy: float) -> tuple[Array, Array]:
+    def normal(self, at: Array, residuals: Array, jacobian: Array) -> tuple[Array, Array]:
         """Information matrix and half the gradient of the criterion, priors of the machine included."""
         return self.summed(at, self.shares(at))
 
@@ -178,7 +177,7 @@ def fit_shared(problem: Problem, free: Sequence[str], shares_at: SharesAt, start
         SimulationError: the declared machine cannot be simulated.
     """
     search = DescentOverRecordings(problem, free, shares_at)
-    end = search.descend(search.start(start), math.inf, SolverOptions(most=MOST_STEPS))
+    end = search.descend(search.start(start), SolverOptions(most=MOST_STEPS))
     return Shared(search.values(end.at), search.shares(end.at), end.cost, end.converged)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import math
 from collections.abc import Mapping, Sequence
 from typing import Final
 
@@ -88,7 +87,7 @@ def _descended(
     problem: Problem, of_fit: _OfFit, start: Mapping[str, float] | Fit, effort: SolverOptions
 ) -> tuple[Descent, End]:
     """The search and where it ended; of many residuals without holding them, where that can be."""
-    if problem.is_long and not effort.robust:
+    if problem.is_long:
         with contextlib.suppress(NotInPieces):
             return _from_start(DescentInSums, problem, of_fit, start, effort)
     return _from_start(Descent, problem, of_fit, start, effort)
@@ -97,14 +96,11 @@ def _descended(
 def _from_start(
     kind: type[Descent], problem: Problem, of_fit: _OfFit, start: Mapping[str, float] | Fit, effort: SolverOptions
 ) -> tuple[Descent, End]:
-    # A loss that counts far residuals less is of each sample's.
-    search = kind(problem.with_every_row() if effort.robust else problem, *of_fit)
+    search = kind(problem, *of_fit)
     if isinstance(start, Fit):
-        return search, search.descend(start.coordinates, math.inf, effort, start)
+        return search, search.descend(start.coordinates, effort, start)
     at = search.start(start if effort.is_near else _nearer(kind, problem, of_fit, start, effort))
-    for scale in effort.robust:
-        at = search.descend(at, scale).at
-    return search, search.descend(at, math.inf, effort)
+    return search, search.descend(at, effort)
 
 
 def _nearer(
@@ -134,8 +130,8 @@ def _nearer(
     residuals = first.residuals(at)
     if residuals is None or sum_squares(residuals) <= far * problem.effective_samples:
         return start
-    nearer = {**start, **first.values(first.descend(at, math.inf, until).at)}
+    nearer = {**start, **first.values(first.descend(at, until).at)}
     if not dampings:
         return nearer
     then = kind(problem, rest, estimated, {**fixed, **dampings}, prior)
-    return {**nearer, **then.values(then.descend(then.start(nearer), math.inf, until).at)}
+    return {**nearer, **then.values(then.descend(then.start(nearer), until).at)}

@@ -20,6 +20,7 @@ from valve_sim.identification.estimation.errors.error import Mode
 from valve_sim.identification.estimation.errors.ringing import columns, grid, refined
 from valve_sim.identification.estimation.linearised import Linearised
 from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.estimation.projection import OrthogonalProjector
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.structured_noise import StructuredNoise, seen_by, structured_noise
 from valve_sim.identification.plants.protocol import HasSensors, Sensor
@@ -181,26 +182,14 @@ def _interval(result: Fit, channel: int) -> float:
 
 def _gain_of_modes(result: Fit, channel: int, sensor: Sensor) -> Callable[[Mode], float]:
     """What χ² falls by with a mode, all else that was fitted at its best."""
-    problem, plant = result.problem, result.problem.plant
-    own = plant.channels[channel]
-    shown = np.zeros(len(own.times))
-    rows = problem.without_errors(np.column_stack([result.derivatives.condensed(), result.left.condensed()]))
-    jacobian, left = rows[:, :-1], rows[:, -1]
-    roots = np.sqrt([one.pull(float(at)).curvature for one, at in zip(result.priors, result.coordinates, strict=True)])
-    information = jacobian.T @ jacobian + np.diag(np.square(roots))
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
-    inverse = np.linalg.inv(information * np.outer(scale, scale) + 1e-12 * np.eye(len(scale))) * np.outer(scale, scale)
+    problem, own = result.problem, result.problem.plant.channels[channel]
+    outside, shown = OrthogonalProjector(result), np.zeros(len(own.times))
 
     def gain(mode: Mode) -> float:
         waves = columns(seen_by(sensor, own, shown, (mode,)))
         where, found = problem.rows.whitened_columns({channel: waves})[channel]
-        moved = np.zeros((len(left), waves.shape[1]))
+        moved = np.zeros((len(result.left.condensed()), waves.shape[1]))
         moved[where] = found
-        moved = problem.without_errors(moved)
-        cross = jacobian.T @ moved
-        of_waves = moved.T @ moved - cross.T @ inverse @ cross
-        pull = moved.T @ left - cross.T @ (inverse @ (jacobian.T @ left))
-        size = np.sqrt(np.maximum(np.diag(of_waves), np.finfo(float).tiny))
-        return float(pull / size @ np.linalg.lstsq(of_waves / np.outer(size, size), pull / size, rcond=1e-8)[0])
+        return outside.gain(moved)
 
     return gain

@@ -238,6 +238,6 @@ def _findings(valve: Valve, constant: Interval | None, displacement: Array) -> I
 
 
 def opening_of(valve: Valve) -> Opening:
-    """How a valve opens when its reference voltage is switched on."""
+    """The opening of a valve after its reference voltage is switched on."""
     volts = valve.parameters.reference_voltage
     return Opening(volts, *published_times(simulate(valve, Drive.of([0.0], [volts]), [OPENING_TIME])))

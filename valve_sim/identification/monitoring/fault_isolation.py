@@ -107,7 +107,7 @@ def _was_there(name: str, baseline: Baseline) -> bool:
 
 
 def _estimated_name(name: str) -> str:
-    """What commissioning calls a value that a finding names."""
+    """The name under which commissioning keeps a value that a finding names."""
     first = name.partition(".")[0]
     return first if first in DAMPINGS else name.removeprefix("valve.")
 

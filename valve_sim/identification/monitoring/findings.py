@@ -12,7 +12,7 @@ from valve_sim.traces import Trace
 
 
 class StrokeState(enum.Enum):
-    """What a stroke was used for."""
+    """The use that was made of a stroke."""
 
     COMMISSIONING = enum.auto()
     """It is one of the first, to which the baseline is fitted."""

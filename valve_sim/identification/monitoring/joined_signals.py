@@ -37,5 +37,5 @@ def with_joined_ends(trace: Trace, strokes: Sequence[Trace], starts: Sequence[fl
 
 
 def _rises(times: Array) -> NDArray[np.bool_]:
-    """Which times are later than all before them."""
+    """Mask of the times that are later than all before them."""
     return np.asarray(times > np.concatenate([[-math.inf], np.maximum.accumulate(times)[:-1]]))

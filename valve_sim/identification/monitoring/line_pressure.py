@@ -55,7 +55,7 @@ class LinePressure:
         self._begun = self._since = -math.inf
 
     def note(self, time: float, pressure: float) -> None:
-        """What the model has at a sample, s and Pa."""
+        """Time, s, and pressure of the model, Pa, at a sample."""
         self._add(self._noted, time, pressure)
 
     def hear(self, time: float, pressure: float) -> None:

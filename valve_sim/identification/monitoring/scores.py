@@ -23,7 +23,6 @@ from typing import Final
 
 import numpy as np
 
-from valve_sim.identification.estimation.descent import SolverOptions
 from valve_sim.identification.estimation.gram import gram
 from valve_sim.identification.estimation.intervals import Interval, covariance_interval
 from valve_sim.identification.estimation.noise import Noise
@@ -60,10 +59,8 @@ LEAST_SENSITIVITY: Final = 1e-3
 """Standard deviations by which an effect of its prior scale must move a stroke to be scored."""
 STILL: Final = 1e-5
 """m/s: below it the model rests."""
-ANNEALING: Final = (100.0, 20.0, 5.0)
-"""σ: scales of the Cauchy loss, theory, eq. (30), that lead a fit with impacts out of local minima."""
 POOR_FIT: Final = 2.0
-"""χ² per sample beyond which other starting points are tried too."""
+"""χ² per sample beyond which the fit begins once more, with commands as they are stamped."""
 MEDIAN_OF_NORMAL: Final = 0.6745
 """Median absolute value of a standard normal number."""
 EXTREME_SIGMAS: Final = 3.0
@@ -228,9 +225,8 @@ def commission(traces: Sequence[Trace], valve: Valve, noise: float) -> Baseline:
     ]
     lateness = float(np.median(late))
     scatter = _scatter(np.abs(np.array(late) - lateness))
-    of_machine = [nuisance.name for nuisance in result.nuisances if nuisance.is_of_machine]
-    names = [*result.free, *of_machine]
-    index = [[*result.free, *(nuisance.name for nuisance in result.nuisances)].index(name) for name in names]
+    index = result.of_machine
+    names = [result.names[at] for at in index]
     estimated, covariance = plant.propagated(names, result.covariance[np.ix_(index, index)])
     commissioned = replace(plant.with_values({name: result.values[name] for name in names}), tolerances=EXACT)
     return Baseline(
@@ -325,11 +321,8 @@ class _Stroke:
         if result.chi2 < POOR_FIT * self.problem.effective_samples:
             return result
         # A fault of the stroke, or a bad starting point: contacts make shallow local minima.
-        again = [
-            fit(self.problem, free, other, nuisances=nuisances, fixed=self._fixed, effort=SolverOptions(ANNEALING))
-            for other in (start, {})
-        ]
-        return min((result, *again), key=lambda found: found.chi2)
+        again = fit(self.problem, free, {}, nuisances=nuisances, fixed=self._fixed)
+        return min((result, again), key=lambda found: found.chi2)
 
     def effect_directions(self, result: Fit) -> Iterator[tuple[str, Array]]:
         """Names, and the change of the whitened residual by a small effect of each: dampings and the catalogue."""

@@ -35,10 +35,10 @@ from valve_sim.model.parameters import Parameter
 from valve_sim.traces.checking import problem_of_column, problem_of_order
 
 MEMBERS: Final = ("channels", "base", "nuisances", "timing_errors", "effects", "force_maps", "experiments")
-"""What every plant has, beside `FUNCTIONS`."""
+"""Members that every plant has, beside `FUNCTIONS`."""
 FUNCTIONS: Final = ("parameter", "declared", "predict")
 OF_RECORDINGS: Final = ("sensors", "varying")
-"""What a plant has whose recordings err, both or none."""
+"""Members of a plant whose recordings have errors; it has both or none."""
 COLUMNS: Final = ("times", "data")
 
 Check = Callable[[], None]
@@ -123,7 +123,7 @@ def named_interrupts(plant: Plant) -> Iterator[None]:
 
 
 def name_of(plant: object) -> str:
-    """What messages call a plant: its class."""
+    """Name of a plant in messages: its class."""
     return type(plant).__name__
 
 
@@ -239,7 +239,7 @@ def _check_name(name: str, plant: Plant, own: str, where: str) -> Parameter:
 
 
 def _asked(name: str, function: Callable[[str], Any], what: str, own: str, where: str) -> Any:
-    """What a plant says of a name."""
+    """The parameter that a plant has for a name."""
     try:
         return function(own)
     except ValveError:
@@ -250,7 +250,7 @@ def _asked(name: str, function: Callable[[str], Any], what: str, own: str, where
 
 
 def _problem_of_parameter(parameter: Parameter) -> str:
-    """What is wrong with a parameter's range."""
+    """The fault of a parameter's range."""
     bounds = (parameter.lower, parameter.upper)
     if not all(isinstance(one, int | float | np.floating) for one in bounds) or not bounds[0] < bounds[1]:
         return f"found the range {bounds[0]!r} to {bounds[1]!r}, expected lower < upper"
@@ -390,7 +390,7 @@ def _problems_of_sensor(sensor: Sensor, sensors: Mapping[int, Sensor]) -> Iterat
 
 
 def _scales(sensor: Sensor) -> tuple[float, dict[str, float]]:
-    """What the priors of a sensor's errors rest on."""
+    """The range and shares from which the priors of a sensor's errors follow."""
     return sensor.span, dict(sensor.shares)
 
 

@@ -14,21 +14,22 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from valve_sim.identification.plants.advice import Advice
+from valve_sim.identification.plants.covariance_root import covariance_root
 from valve_sim.identification.plants.hold_out import Condition
 from valve_sim.identification.plants.protocol import (
     Array,
     Channel,
     Direction,
     EffectChoice,
-    Experiment,
     ForceMap,
     Nuisance,
+    Plant,
     Sensitivities,
     Sensor,
 )
 from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA
 from valve_sim.identification.plants.tolerances import of_gas
-from valve_sim.identification.plants.valve import DAMPINGS, ValvePlant
+from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.plants.valve_sensors import as_it_began
 from valve_sim.model import CATALOGUE, DECLARED, Parameter, Tag, Valve, simulate
 from valve_sim.model.gas import GAS
@@ -46,8 +47,6 @@ FINEST_SCATTER: Final = 1e-6
 START: Final = "outlet_pressure"
 START_SHARE: Final = 0.1
 """Of the tank's pressure: standard deviation of the pressure behind a valve before the first stroke of a trace."""
-SMALLEST_SHARE: Final = 1e-12
-"""Of a covariance, scaled to a unit diagonal: eigenvalues below this share of the largest are rounding."""
 _VALUE: Final = "value"
 
 
@@ -126,8 +125,8 @@ class Commissioned(NamedTuple):
     covariance: Array
 
 
-class CommissionedPlant:
-    """A valve whose dampings and clock are known: a change of a damping is one effect among others.
+class CommissionedPlant(Plant):
+    """A valve in service whose dampings and clock are known: a change of a damping is one effect among others.
 
     Args:
         trace: some strokes, their motion put back by the lateness.
@@ -148,7 +147,7 @@ class CommissionedPlant:
         self._plant = ValvePlant([replace(trace, outlet_start=None)], valve, is_watched=True)
         self._scatter = max(scatter, FINEST_SCATTER)
         self._estimated = commissioned.estimated
-        self._spread = _root(commissioned.covariance) / CLOCK_SIGMA
+        self._spread = covariance_root(commissioned.covariance) / CLOCK_SIGMA
         self._errors = tuple(f"commissioning_error[{index}]" for index in range(self._spread.shape[1]))
         self._dampings = {name: self._damping(name) for name in self._plant.base}
         alike = tuple(entry.name for entry in CATALOGUE.tagged(Tag.LIKE_DAMPING))
@@ -168,11 +167,6 @@ class CommissionedPlant:
     def channels(self) -> Sequence[Channel]:
         """The channels of the trace."""
         return self._plant.channels
-
-    @property
-    def base(self) -> Sequence[str]:
-        """Nothing is refitted before an effect is claimed."""
-        return ()
 
     @property
     def nuisances(self) -> Sequence[Nuisance]:
@@ -202,11 +196,6 @@ class CommissionedPlant:
         )
 
     @property
-    def timing_errors(self) -> Sequence[Nuisance]:
-        """None beside those that are always estimated."""
-        return ()
-
-    @property
     def varying(self) -> Sequence[Nuisance]:
         """As of any valve that is watched."""
         return self._plant.varying
@@ -232,11 +221,6 @@ class CommissionedPlant:
     def force_maps(self) -> Sequence[ForceMap]:
         """Force maps of any valve; none with gas, where each of many derivatives takes another simulation of all."""
         return self._plant.force_maps if self._plant.valve.gas is None else ()
-
-    @property
-    def experiments(self) -> Sequence[Experiment]:
-        """None: the valve is in service."""
-        return ()
 
     @property
     def advice(self) -> Advice:
@@ -272,7 +256,7 @@ class CommissionedPlant:
         return self._plant.sensitivities(plain, along)
 
     def _plain_slopes(self, slopes: Mapping[str, float], plain: Mapping[str, float]) -> dict[str, float]:
-        """How values change along a direction, by their plain names."""
+        """Changes of values along a direction, by their plain names."""
         found = {name: slope for name, slope in slopes.items() if name in plain and name not in self._errors}
         errors = self._spread @ np.array([slopes.get(name, 0.0) for name in self._errors])
         for name, error in zip(self._estimated, errors.tolist(), strict=True):
@@ -294,15 +278,3 @@ class CommissionedPlant:
         known = DECLARED[name]
         value = self._plant.declared(name)
         return known._replace(name=_VALUE, off=value, prior_scale=max(value, known.prior_scale))
-
-
-def _root(covariance: Array) -> Array:
-    """(k, r) a square root of a (k, k) covariance, of r directions if it is not of full rank."""
-    sigmas = np.sqrt(np.diag(covariance))
-    if len(sigmas) <= len(DAMPINGS):
-        return np.asarray(np.linalg.cholesky(covariance))
-    # The values differ by ten orders of magnitude; scaled by their standard deviations they compare.
-    scale = np.where(sigmas > 0.0, sigmas, 1.0)
-    sizes, directions = np.linalg.eigh(covariance / np.outer(scale, scale))
-    kept = sizes > SMALLEST_SHARE * sizes[-1]
-    return np.asarray(scale[:, None] * directions[:, kept] * np.sqrt(sizes[kept]))

@@ -23,14 +23,7 @@ import numpy as np
 import yaml
 
 from valve_sim.files.parameter_files import load_valve
-from valve_sim.identification.plants.protocol import (
-    Array,
-    Channel,
-    EffectChoice,
-    Experiment,
-    ForceMap,
-    Nuisance,
-)
+from valve_sim.identification.plants.protocol import Array, Channel, EffectChoice, Plant
 from valve_sim.identification.plants.valve_model import ValveModel
 from valve_sim.model import (
     CATALOGUE,
@@ -147,10 +140,11 @@ def reached(response: Response, displacement: float) -> float:
     return float(times[index - 1] + share * span)
 
 
-class EventPlant:
+class EventPlant(Plant):
     """The valve behind an event table; it has no clock offset, because a table's times count from the voltage.
 
-    Declared values are taken as exact: a handful of numbers determines no more than the effect in question.
+    Declared values are taken as exact, nothing is refitted beside the effect in question, and no curve stands for what
+    has no name: a handful of numbers determines no more. A printed table is not recorded again.
 
     Args:
         table: the measurement; its declared valve is what effects are added to.
@@ -175,34 +169,9 @@ class EventPlant:
         return self._channels
 
     @property
-    def base(self) -> Sequence[str]:
-        """None: a handful of numbers determines no more than the effect in question."""
-        return ()
-
-    @property
-    def nuisances(self) -> Sequence[Nuisance]:
-        """None: the times of a table count from the voltage."""
-        return ()
-
-    @property
-    def timing_errors(self) -> Sequence[Nuisance]:
-        """None, likewise."""
-        return ()
-
-    @property
     def effects(self) -> Mapping[str, EffectChoice]:
         """The catalogue, less the effects that the declared valve has on."""
         return self._model.effects
-
-    @property
-    def force_maps(self) -> Sequence[ForceMap]:
-        """None: a handful of numbers cannot determine a curve."""
-        return ()
-
-    @property
-    def experiments(self) -> Sequence[Experiment]:
-        """None: a printed table is not recorded again."""
-        return ()
 
     def parameter(self, name: str) -> Parameter:
         """Unit and range of a declared parameter or of `<effect>.<parameter>`.

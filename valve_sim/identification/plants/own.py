@@ -29,7 +29,7 @@ from valve_sim.identification.plants.protocol import (
     Nuisance,
     Sensitivities,
 )
-from valve_sim.model.core.own.grammar import Expr, names_in
+from valve_sim.model.core.own.grammar import Expr, names_in, walk
 from valve_sim.model.core.own.simulation import Inputs, Machine, without_straight
 from valve_sim.model.core.own.system import Equations, EquationsError
 from valve_sim.model.core.own.units import dimension_words, same
@@ -51,6 +51,11 @@ LAG: Final = 0.01
 """Of a recording's samples, over which its fastest rate is taken."""
 SPAN: Final = 0.5
 """Of a measured signal's range: standard deviation of the start of a state that it shows."""
+TIMES_STEPS: Final = 20
+"""Steps of a run as declared, of which a run with other values may take so many."""
+STEPS_BESIDE: Final = 12
+"""Further steps for each sample and each time of an input: what turns faster than half their rate needs more."""
+STEPS_LEAST: Final = 20_000
 VALUE: Final = "valve."
 """Begins the name of a declared value that may be wrong, as of every plant."""
 
@@ -88,10 +93,14 @@ class OwnPlant:
         self.recordings = tuple(recordings)
         self._machines: dict[tuple[str, ...], Machine] = {}
         self._lock = threading.Lock()
+        self._delaying = {f"{name}.{own}" for name, effect in file.effects.items() for own in effect.delay.values()}
+        self._steps: dict[tuple[int, int], int | None] = {}
         for recording in recordings:
             self._check(recording)
         if recordings:
             self.file = file.sized(self._sizes())
+        self.findings: list[str] = []
+        self._switched = () if self.file.states else _signs_of(self.file)
         self._runs: list[Run] = []
         self._of_channel: list[tuple[int, str]] = []
         channels = []
@@ -183,13 +192,14 @@ class OwnPlant:
         return found.scale
 
     def predict(self, values: Mapping[str, float]) -> list[Array]:
-        """What each channel would show, in its unit."""
+        """The simulated signal of each channel, in its unit."""
         return self._shown(values, ())[0]
 
     def sensitivities(self, values: Mapping[str, float], directions: Sequence[Direction]) -> Sensitivities:
-        """The derivatives of what `predict` returns; all are known."""
+        """The derivatives of what `predict` returns; all but those to delays are known."""
         columns = self._shown(values, directions)[1]
-        return Sensitivities(columns, np.ones(len(directions), dtype=bool))
+        known = [self._delaying.isdisjoint(direction.slopes) for direction in directions]
+        return Sensitivities(columns, np.array(known, dtype=bool))
 
     # -- simulation ----------------------------------------------------------------------------------------------------
 
@@ -234,7 +244,7 @@ class OwnPlant:
         return Equations(derivatives, outputs, inputs, tuple(names))
 
     def _shown(self, values: Mapping[str, float], directions: Sequence[Direction]) -> tuple[list[Array], list[Array]]:
-        """What each channel would show, and (n, k) derivatives."""
+        """The simulated signal of each channel, and its (n, k) derivatives."""
         on = {
             name.partition(".")[0]
             for name in values
@@ -242,7 +252,7 @@ class OwnPlant:
         }
         on -= {VALUE.rstrip(".")}
         effects = tuple(name for name in self.file.effects if name in on)
-        machine = self.machine(effects)
+        machine, delays = self.machine(effects), self._delays(values, effects)
         outputs = list(self.file.outputs)
         full: dict[tuple[int, str], Array] = {}
         slopes: dict[tuple[int, str], Array] = {}
@@ -257,9 +267,11 @@ class OwnPlant:
             start = self._start(run, values)
             own = [self._direction(run, direction, effects) for direction in directions]
             acting = [k for k, one in enumerate(own) if one]
+            inputs = delayed(run.inputs, [delays.get(name, 0.0) for name in self.file.inputs])
+            samples, rows_of = late(run, delays)
             try:
                 shown, changes = machine.run(
-                    numbers, start, run.inputs, run.samples, [own[k] for k in acting], run.start
+                    numbers, start, inputs, samples, [own[k] for k in acting], run.start, self._most(run)
                 )
             except SimulationError as error:
                 raise SimulationError(f"{self.file.path}: {self.recordings[run.recording].source}: {error}") from error
@@ -267,7 +279,7 @@ class OwnPlant:
                 key = run.recording, name
                 if key not in full:
                     continue
-                rows = run.rows[name]
+                rows = rows_of[name]
                 into = self._samples_of(run, name)
                 full[key][into] = shown[rows, place]
                 for k, column in enumerate(acting):
@@ -278,6 +290,39 @@ class OwnPlant:
             found.append(measured.filtered(full[index, name]))
             columns.append(measured.filtered(slopes[index, name]))
         return found, columns
+
+    def _delays(self, values: Mapping[str, float], effects: Sequence[str]) -> dict[str, float]:
+        """S by which inputs act and outputs show late, by name, where they do."""
+        entries: dict[str, InputEntry | OutputEntry] = {**self.file.inputs, **self.file.outputs}
+        found = {name: own.delay for name, own in entries.items() if own.delay}
+        for effect in effects:
+            for target, own in self.file.effects[effect].delay.items():
+                found[target] = found.get(target, 0.0) + values.get(f"{effect}.{own}", 0.0)
+        return found
+
+    def _longest_delay(self) -> float:
+        """s: no input acts later."""
+        ends = [own.delay for own in self.file.inputs.values()]
+        ends += [effect.parameters[own].upper for effect in self.file.effects.values() for own in effect.delay.values()]
+        return math.fsum(ends)
+
+    def _most(self, run: Run) -> int | None:
+        """How many steps a run may take; None: the declared machine itself cannot be simulated.
+
+        A fit may come to values that make a machine turn thousands of times between two samples, such as ripples a
+        hundredth as long as they are. One such run takes as long as a whole fit.
+        """
+        key = run.recording, run.window
+        if key not in self._steps:
+            beside = STEPS_LEAST + STEPS_BESIDE * (len(run.samples) + len(run.inputs.times))
+            try:
+                declared = self.machine(()).steps(
+                    self._numbers(run, {}, ()), self._start(run, {}), run.inputs, run.samples, run.start
+                )
+                self._steps[key] = TIMES_STEPS * declared + beside
+            except SimulationError:
+                self._steps[key] = None
+        return self._steps[key]
 
     def _samples_of(self, run: Run, name: str) -> slice:
         times = self.recordings[run.recording][name].times
@@ -351,7 +396,7 @@ class OwnPlant:
             unit = known[name].unit
             if column.unit is not None and not same(column.unit.dimension, unit.dimension):
                 raise MapError(
-                    f"{recording.source}: {name}: column {column.source} is in "
+                    f"{recording.source}: {name}: {column.source} is in "
                     f"{dimension_words(column.unit.dimension)}, expected {dimension_words(unit.dimension)}; "
                     "correct its unit in the map"
                 )
@@ -395,7 +440,7 @@ class OwnPlant:
         present = [name for name in self.file.outputs if name in recording.columns]
         samples = np.unique(np.concatenate([recording[name].times for name in present]))
         begins = min(samples[0], inputs.times[0]) if len(inputs.times) else samples[0]
-        window = self.file.window
+        window, longest = self.file.window, self._longest_delay()
         count = 1 if math.isinf(window) else max(1, round((samples[-1] - begins) / window))
         edges = [begins] if count == 1 else (begins + window * np.arange(count)).tolist()
         runs = []
@@ -408,7 +453,7 @@ class OwnPlant:
                     name: np.flatnonzero(np.isin(own, recording[name].times)) for name in self.file.outputs
                     if name in recording.columns
                 }  # fmt: skip
-                kept = _between(inputs, first, float(own[-1]))
+                kept = _between(inputs, first - longest, float(own[-1]))
                 runs.append(Run(index, number, float(first), kept, own, rows))
         return runs
 
@@ -421,6 +466,13 @@ class OwnPlant:
             column = recording[name]
             data, times = column.si(entry.unit)[column.compared], column.times[column.compared]
             left_out = ~column.used[column.compared]
+            turns = self._turns(recording, times)
+            if (turns & ~left_out).any():
+                self.findings.append(
+                    f"{recording.source}: {name}: {int((turns & ~left_out).sum())} samples take no part, where "
+                    f"{' or '.join(self._switched)} passes through 0: dry friction is anything up to its level there"
+                )
+                left_out |= turns
             noise = entry.noise or 0.0
             quiet = np.zeros(len(data), dtype=bool) if noise else quiet_samples(times, data, [own for own, _ in inputs])
             self._of_channel.append((index, name))
@@ -439,6 +491,24 @@ class OwnPlant:
                 )
             )
         return channels
+
+    def _turns(self, recording: Columns, times: Array) -> NDArray[np.bool_]:
+        """(n,) where, of a plant without states, a measured velocity passes through 0.
+
+        Dry friction at rest is a set: any force up to its level. The sign of a measured velocity knows no rest, and
+        behind a low-pass it turns up to half a period of the corner before or after the machine does.
+        """
+        found = np.zeros(len(times), dtype=bool)
+        for name in self._switched:
+            column = recording[name]
+            signs = np.sign(column.readings)
+            crossed = column.times[:-1][signs[1:] != signs[:-1]]
+            beside = max(0.5 / column.smoothing, float(np.median(np.diff(column.times))))
+            if len(crossed):
+                after = np.minimum(np.searchsorted(crossed, times), len(crossed) - 1)
+                nearest = np.minimum(np.abs(times - crossed[after]), np.abs(times - crossed[np.maximum(after - 1, 0)]))
+                found |= nearest <= beside
+        return found
 
     def _groups(self, times: Array) -> NDArray[np.int64]:
         """(n,) the window, or the eighth of the recording, that each sample is in."""
@@ -574,7 +644,7 @@ class OwnPlant:
         return found
 
     def _seen(self, name: str) -> Array | None:
-        """What was recorded of a state, input or output; None: nothing."""
+        """The recorded signal of a state, input or output; None if there is none."""
         for shown, output in self.file.outputs.items():
             if name == shown or (output.value.op == "name" and output.value.value == name):
                 columns = [own[shown].si(output.unit) for own in self.recordings if shown in own.columns]
@@ -607,6 +677,46 @@ def inputs_of(file: PlantFile, recording: Columns | None) -> Inputs:
         else:
             levels[:, place] = np.interp(times, column.times, values)
     return Inputs(times, levels, held)
+
+
+def delayed(inputs: Inputs, delays: Sequence[float]) -> Inputs:
+    """Inputs of which each acts some seconds later; before its first time an input is as it begins."""
+    if not any(delays) or not len(inputs.times):
+        return inputs
+    times = np.unique(np.concatenate([inputs.times + own for own in sorted(set(delays))]))
+    # Whether a time is that of a step must not hang on how its sum with a delay was rounded.
+    rounding = 1e-12 * (float(np.max(np.abs(times))) + 1.0)
+    levels = np.empty((len(times), len(delays)))
+    for place, own in enumerate(delays):
+        if inputs.held[place]:
+            rows = np.searchsorted(inputs.times, times - own + rounding, side="right") - 1
+            levels[:, place] = inputs.levels[np.maximum(rows, 0), place]
+        else:
+            levels[:, place] = np.interp(times - own, inputs.times, inputs.levels[:, place])
+    return Inputs(times, levels, inputs.held)
+
+
+def late(run: Run, delays: Mapping[str, float]) -> tuple[Array, Mapping[str, NDArray[np.int64]]]:
+    """When a run is looked at, s, so that outputs are shown late, and by output the rows of its samples among these.
+
+    Before the run's start an output is as it begins.
+    """
+    if not any(delays.get(name) for name in run.rows):
+        return run.samples, run.rows
+    asked = {name: np.maximum(run.samples[own] - delays.get(name, 0.0), run.start) for name, own in run.rows.items()}
+    samples = np.unique(np.concatenate(list(asked.values())))
+    return samples, {name: np.searchsorted(samples, own) for name, own in asked.items()}
+
+
+def _signs_of(file: PlantFile) -> tuple[str, ...]:
+    """Inputs whose sign an equation or an effect switches on: sign(v), or where(v > 0, a, b)."""
+    parts = [own.value for own in file.outputs.values()]
+    parts += [added for effect in file.effects.values() for added in effect.add.values()]
+    found: dict[str, None] = {}
+    for one in (node for part in parts for node in walk(part)):
+        if one.op == "sign" or (one.op == ">" and any(own.op == "number" and own.value == 0.0 for own in one.args)):
+            found |= {str(own.value): None for own in one.args if own.op == "name" and own.value in file.inputs}
+    return tuple(found)
 
 
 def _compared_with(expression: Expr, name: str) -> list[str]:

@@ -6,7 +6,7 @@ import numpy as np
 
 from valve_sim.files.plant_files import PlantFile, PlantFileError
 from valve_sim.files.recording_map import MapError
-from valve_sim.identification.plants.own import inputs_of
+from valve_sim.identification.plants.own import Run, delayed, inputs_of, late
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.model.core.own.simulation import Machine, without_straight
 from valve_sim.model.core.own.system import EquationsError
@@ -42,10 +42,14 @@ def simulate_plant(
     except EquationsError as error:
         raise PlantFileError(f"{file.path}: {error}") from error
     inputs = inputs_of(file, recording)
+    acting = delayed(without_straight(inputs), [own.delay for own in file.inputs.values()])
     numbers = {name: own.value for name, own in file.parameters.items()}
     start = {name: own.start or 0.0 for name, own in file.states.items()}
     try:
-        shown, _ = machine.run(numbers, start, without_straight(inputs), times)
+        begins = float(min(times[0], inputs.times[0]) if len(inputs.times) else times[0])
+        run = Run(0, 0, begins, acting, times, {name: np.arange(len(times)) for name in file.outputs})
+        samples, rows = late(run, {name: own.delay for name, own in file.outputs.items()})
+        shown, _ = machine.run(numbers, start, acting, samples, start_time=begins)
     except SimulationError as error:
         raise SimulationError(f"{file.path}: {error}") from error
     found = {"time": times}
@@ -57,5 +61,5 @@ def simulate_plant(
             levels = np.interp(times, inputs.times, own)
         found[name] = levels / entry.unit.factor
     for place, (name, output) in enumerate(file.outputs.items()):
-        found[name] = shown[:, place] / output.unit.factor
+        found[name] = shown[rows[name], place] / output.unit.factor
     return found

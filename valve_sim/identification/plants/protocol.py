@@ -136,7 +136,7 @@ class ForceMap:
 
     @property
     def held(self) -> dict[str, float]:
-        """What a fit holds: the place of the B-splines."""
+        """Names that a fit keeps fixed: the place of the B-splines."""
         return {**self.fixed, self.count: float(len(self.coefficients))}
 
     def with_period(self, period: float) -> ForceMap:
@@ -193,7 +193,7 @@ class Channel:
 
     @property
     def count(self) -> int:
-        """How many measurements there are."""
+        """Number of measurements."""
         return len(self.data) - (0 if self.left_out is None else int(np.count_nonzero(self.left_out)))
 
     def kept(self, values: Array, samples: slice = slice(None)) -> Array:
@@ -275,40 +275,48 @@ class Piece(NamedTuple):
 
     @property
     def samples(self) -> slice:
-        """Which of the channel's they are."""
+        """Indices of these samples in the channel."""
         return slice(self.start, self.start + len(self.shown))
 
 
 class Plant(Protocol):
-    """A machine with its measured data."""
+    """A machine with its measured data.
+
+    A plant that inherits from this class states what it has; of what it does not state it has nothing.
+    """
 
     @property
     def channels(self) -> Sequence[Channel]:
-        """What was measured."""
+        """The measured channels."""
 
     @property
     def base(self) -> Sequence[str]:
         """The parameters that are refitted before any effect is claimed."""
+        return ()
 
     @property
     def nuisances(self) -> Sequence[Nuisance]:
         """Always estimated: clock offsets, and declared values with a tolerance."""
+        return ()
 
     @property
     def timing_errors(self) -> Sequence[Nuisance]:
         """Estimated where the data ask for it: errors of each command's stamp."""
+        return ()
 
     @property
     def effects(self) -> Mapping[str, EffectChoice]:
-        """What may be missing, by name."""
+        """The effects that may be missing, by name."""
 
     @property
     def force_maps(self) -> Sequence[ForceMap]:
         """Curves that stand for what no named effect explains."""
+        return ()
 
     @property
     def experiments(self) -> Sequence[Experiment]:
         """Recordings that could be made next, where the plant knows any."""
+        return ()
 
     def parameter(self, name: str) -> Parameter:
         """Unit and range of anything that can be freed."""
@@ -434,6 +442,18 @@ class HasSensors(Protocol):
 def varying_of(plant: Plant) -> Sequence[Nuisance]:
     """Errors of its recordings that act on the machine; of most plants there are none."""
     return plant.varying if isinstance(plant, HasSensors) else ()
+
+
+@runtime_checkable
+class Thinnable(Plant, Protocol):
+    """A plant that can show some of its samples and take less time for it: an optional member."""
+
+    @property
+    def can_be_thinned(self) -> bool:
+        """Whether what it shows of a sample is the same whichever others it shows."""
+
+    def thinned(self, kept: Sequence[NDArray[np.intp]]) -> Plant:
+        """This plant with some samples of each channel, of which the first is one."""
 
 
 @runtime_checkable

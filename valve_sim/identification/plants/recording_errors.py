@@ -120,12 +120,12 @@ def _commands_with(trace: Trace, index: int, values: Mapping[str, float]) -> Dri
 
 
 def zero_with(index: int, values: Mapping[str, float]) -> float:
-    """What the position sensor shows of a closed valve, m."""
+    """Reading of the position sensor for a closed valve, m."""
     return values.get(f"position_zero[{index}]", 0.0)
 
 
 def lateness_with(index: int, values: Mapping[str, float]) -> float:
-    """How late the samples of a recording are stamped, s."""
+    """Delay of the stamps of a recording's samples, s."""
     return values.get(f"clock_offset[{index}]", 0.0)
 
 

@@ -14,6 +14,7 @@ from typing import Final
 
 import numpy as np
 
+from valve_sim.identification.plants.covariance_root import covariance_root
 from valve_sim.identification.plants.protocol import RELEASED, Array, EffectChoice, Nuisance
 from valve_sim.model import CATALOGUE, DECLARED, Parameter, Tolerances, Valve
 from valve_sim.model.gas import GAS
@@ -24,10 +25,8 @@ MAIN_MASS: Final = "main_mass"
 STEP: Final = 3e-4
 """Step of a difference quotient, in tolerances. From 3e-3 on, samples change sides of an impact, and standard errors
 are off by a factor of up to 5; below 1e-3 they are the same to three digits (measured)."""
-SMALLEST_SHARE: Final = 1e-12
-"""Of a covariance, scaled to a unit diagonal: eigenvalues below this share of the largest are rounding."""
 GROUP: Final = "gas."
-"""What fits call a number of the group `gas` begins with it."""
+"""Prefix of the names of numbers of the group `gas` in fits."""
 SAME_AS: Final[Mapping[str, str]] = {
     "pilot_gap": "gap_offset.offset",
     "stroke": "stroke_offset.offset",
@@ -50,7 +49,7 @@ LOOK_ALIKES: Final[Mapping[str, tuple[str, ...]]] = {
     "gas.outlet_volume": ("pilot_clogging", "seat_leak", "gas.discharge_coefficient", "gas.pilot_orifice_diameter"),
     "gas.demand_orifice_diameter": ("seat_leak", "gas.outlet_volume"),
 }
-"""What data often cannot tell from a wrong value, the closest first."""
+"""Effects that data often cannot tell from a wrong value, the closest first."""
 
 
 SMALLER_IS: Final[Mapping[str, str]] = {"gas.pilot_orifice_diameter": "pilot_clogging"}
@@ -75,7 +74,7 @@ EXACT_RIVALS_OF_GAS: Final = (
 
 
 def of_gas(name: str) -> str:
-    """What fits call a number of the group `gas`."""
+    """The name of a number of the group `gas` in fits."""
     return f"{GROUP}{name}"
 
 
@@ -100,6 +99,8 @@ class ToleratedValues:
         self._axis_names = tuple(f"attraction[{axis}]" for axis in range(self._axes.shape[1]))
         self.nuisances = self._nuisances(valve)
         self._own = {nuisance.name: nuisance for nuisance in self.nuisances}
+        # Coordinates that stand for declared values without being one.
+        self._stand_for = frozenset({*self._axis_names, *([MAIN_MASS] if self._has_masses else [])})
 
     def _nuisances(self, valve: Valve) -> tuple[Nuisance, ...]:
         lower, upper = _contacts(valve)
@@ -169,15 +170,11 @@ class ToleratedValues:
             return self._declared["moving_mass"] - self._declared["pilot_mass"]
         return 0.0 if name in self._axis_names else self._declared[name]
 
-    def knows(self, name: str) -> bool:
-        """Whether a name is a coordinate that stands for declared values without being one."""
-        return name in self._axis_names or (name == MAIN_MASS and self._has_masses)
-
     def as_declared(self, values: Mapping[str, float]) -> Mapping[str, float]:
         """Values by the names of declared scalars: the mass and the polynomial in place of their coordinates."""
         if not (self._has_masses or self._axis_names):
             return values
-        plain = {name: value for name, value in values.items() if not self.knows(name)}
+        plain = {name: value for name, value in values.items() if name not in self._stand_for}
         if self._has_masses and (MAIN_MASS in values or "pilot_mass" in values):
             main = values.get(MAIN_MASS, self.declared(MAIN_MASS))
             plain.setdefault("moving_mass", values.get("pilot_mass", self._declared["pilot_mass"]) + main)
@@ -301,13 +298,7 @@ def principal_axes(tolerances: Tolerances) -> Array:
     """(4, r) R, a square root of the polynomial's covariance, the widest axis first; theory, eq. (81)."""
     if tolerances.attraction_covariance is None:
         return np.empty((len(POLYNOMIAL_NAMES), 0))
-    covariance = np.array(tolerances.attraction_covariance)
-    # The terms differ by ten orders of magnitude; scaled by their standard deviations they compare.
-    sigmas = np.sqrt(np.diag(covariance))
-    scale = np.where(sigmas > 0.0, sigmas, 1.0)
-    sizes, directions = np.linalg.eigh(covariance / np.outer(scale, scale))
-    kept = np.flatnonzero(sizes > SMALLEST_SHARE * sizes[-1])[::-1]
-    return np.asarray(scale[:, None] * directions[:, kept] * np.sqrt(sizes[kept]))
+    return covariance_root(np.array(tolerances.attraction_covariance))[:, ::-1]
 
 
 def _nuisance(

@@ -7,7 +7,7 @@ are what one run would give, to the last digit.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Final, NamedTuple
 
@@ -96,21 +96,26 @@ class Intervals(NamedTuple):
             found |= np.any(self.slopes[:, 1:] != self.slopes[:, :-1], axis=(0, 2))
         return set(np.flatnonzero(found).tolist())
 
-    def values(self, valve: Valve, interval: int) -> Array:
-        """(n,) the numbers of a valve in an interval."""
-        found = valve.numbers()
-        for places, factor in zip(places_of_fields(valve), self.factors[interval].tolist(), strict=True):
-            found[places] *= factor
+    def values(self, own: Array, places: Sequence[Sequence[int]], interval: int) -> Array:
+        """(n,) the numbers of a valve in an interval.
+
+        Args:
+            own: (n,) its numbers, where nothing differs. places: of each of `FIELDS` among these.
+            interval: before the first command 0, and one more after each.
+        """
+        found = own.copy()
+        for where, factor in zip(places, self.factors[interval].tolist(), strict=True):
+            found[where] *= factor
         return found
 
-    def moved(self, valve: Valve, interval: int) -> Array | None:
-        """(k, n) derivatives of these."""
+    def moved(self, own: Array, places: Sequence[Sequence[int]], interval: int) -> Array | None:
+        """(k, n) derivatives of these; arguments as of `values`."""
         if self.numbers is None or self.slopes is None:
             return None
-        own, found = valve.numbers(), self.numbers.copy()
-        for field, places in enumerate(places_of_fields(valve)):
-            found[:, places] *= self.factors[interval, field]
-            found[:, places] += own[places] * self.slopes[:, interval, field, None]
+        found = self.numbers.copy()
+        for field, where in enumerate(places):
+            found[:, where] *= self.factors[interval, field]
+            found[:, where] += own[where] * self.slopes[:, interval, field, None]
         return found
 
 
@@ -136,9 +141,10 @@ def run_in_pieces(
     ends = None if intervals is None else intervals.changes
     numbers = None
     if intervals is not None:
-        numbers = intervals.values(valve, 0)
+        own, places = valve.numbers(), places_of_fields(valve)
+        numbers = intervals.values(own, places, 0)
         if directions is not None:
-            moved = intervals.moved(valve, 0)
+            moved = intervals.moved(own, places, 0)
             assert moved is not None
             directions = replace(directions, numbers=moved)
     of = recorded(valve, trace, drive, offset)
@@ -146,7 +152,8 @@ def run_in_pieces(
     (delay,) = valve.after_effects("sensor_delay")
     for cut in cuts(trace.times, current_times, drive, (offset, delay), ends):
         if intervals is not None and cut.commands.start:
-            run.become(intervals.values(valve, cut.commands.start), intervals.moved(valve, cut.commands.start))
+            after = cut.commands.start
+            run.become(intervals.values(own, places, after), intervals.moved(own, places, after))
         times, late = trace.times[cut.positions] - offset, current_times[cut.currents] - offset
         shown = run.piece(commands[cut.commands], cut.end, times, late, first=cut.commands.start)
         yield RunPiece(cut.positions, cut.currents, shown)

@@ -97,6 +97,10 @@ _SWITCHES: Final = (
 """Numbers that are off at 0 and act differently on either side of it: difference quotients are needed there."""
 
 
+def _switches_of(valve: Valve) -> Array:
+    return np.array(valve.after_effects(*_SWITCHES))
+
+
 def _slopes_of(
     model: ValveModel,
     values: Mapping[str, float],
@@ -110,7 +114,7 @@ def _slopes_of(
         each direction has derivatives.
     """
     valve: Valve = model.simulated(values)
-    numbers, switches, rated = valve.numbers(), np.array(valve.after_effects(*_SWITCHES)), rated_current_of(valve)
+    numbers, switches, rated = valve.numbers(), _switches_of(valve), rated_current_of(valve)
     slopes, of_rated = np.zeros((len(directions), len(numbers))), np.zeros(len(directions))
     known = np.ones(len(directions), dtype=bool)
     for row, (there, direction) in enumerate(zip(moved, directions, strict=True)):
@@ -121,7 +125,7 @@ def _slopes_of(
         differs = there_numbers != numbers  # otherwise both may be infinite, while their effect is off
         slopes[row, differs] = (there_numbers[differs] - numbers[differs]) / direction.step
         of_rated[row] = (rated_current_of(other) - rated) / direction.step
-        is_switched = (switches == 0.0) & (np.array(other.after_effects(*_SWITCHES)) != 0.0)
+        is_switched = (switches == 0.0) & (_switches_of(other) != 0.0)
         known[row] = np.isfinite(slopes[row]).all() and not is_switched.any()
     slopes[~known] = 0.0
     return valve, slopes, (rated, of_rated), known

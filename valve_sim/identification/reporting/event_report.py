@@ -117,7 +117,9 @@ def event_text(result: EventDiagnosis) -> str:
             f"largest attraction while opening: {result.largest_attraction:.1f} N, measured "
             f"{result.table.largest_attraction:.1f} N: not fitted"
         )
-    lines.append("what would decide, most telling first (what the region predicts, and how well it can be measured):")
+    lines.append(
+        "what would decide, the most decisive first (what the region predicts, and how well it can be measured):"
+    )
     lines += [
         f"    {measurement_words(entry):<46}{entry.lowest:>9.3g} to {entry.highest:.3g} {entry.unit} ± "
         f"{entry.uncertainty:g} ({entry.power:.0f} uncertainties)"

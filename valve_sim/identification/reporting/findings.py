@@ -34,14 +34,14 @@ _UNBOUNDED: Final = {
 _SIGMAS_95: Final = 1.96
 _HALF_MORE: Final = 1.5
 _DISAGREEING: Final = (
-    "± is one standard error, from the curvature of χ² at the best value; the 95 % interval is where χ² really rises, "
-    "others refitted, or ends at a bound. Here they disagree: go by the interval"
+    "± is one standard error, from the curvature of χ² at the best value; the 95 % interval follows from χ² itself, "
+    "all else refitted, or ends at a bound. The two disagree here: use the interval"
 )
 _SEPARATING: Final = "strokes at other voltages, or a release, would separate them."
 _LACKING: Final = "so the intervals are too narrow; `diagnose` may name it."
 _BY_ERRORS: Final = (
-    "beside these errors of the recording the model leaves no more than noise, and without them more. It may lack "
-    "something instead: `diagnose` compares both."
+    "beside these errors of the recording the model explains the data down to the noise, and without them it does not. "
+    "It may lack an effect instead: `diagnose` compares both."
 )
 _AT_THE_SEAT: Final = "measure at x = 0, where the motion starts."
 

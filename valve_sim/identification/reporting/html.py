@@ -25,7 +25,6 @@ from valve_sim.identification.plants.protocol import Channel, primary_channels
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.curves import StrokeCurves, strokes_of
 from valve_sim.identification.reporting.declared_values import declared_section, plain_name
-from valve_sim.identification.reporting.detection_limits import limit_rows
 from valve_sim.identification.reporting.findings import remark_on
 from valve_sim.identification.reporting.followed_positions import stroke_plot, stroke_words, strokes_followed
 from valve_sim.identification.reporting.force_curves import ForceCurve, force_curve, motion_of
@@ -38,10 +37,11 @@ from valve_sim.identification.reporting.wording import (
     headline,
     holdout_words,
     kind_words,
+    limit_rows,
     meanings,
     percent,
-    probability_words,
     rounding_words,
+    unseen_noise_words,
 )
 from valve_sim.invocation import invocation
 
@@ -117,7 +117,7 @@ def draw_diagnosis(diagnosis: Diagnosis) -> Picture:
 
     strokes = _drawn(diagnosis, PICTURED_STROKES)[0][:PICTURED_STROKES]
     figure = Picture(figsize=(4.6 * len(strokes) + 0.8, 8.6 if diagnosis.maps else 6.4), layout="constrained")
-    figure.suptitle(f"{headline(diagnosis)}\nProbability {probability_words(diagnosis.verdict)}", wrap=True)
+    figure.suptitle(f"{headline(diagnosis)}\nProbability {percent(diagnosis.verdict.probability)}", wrap=True)
     ratios = (5, 3) if diagnosis.maps else (1,)
     rows = list(figure.subfigures(len(ratios), 1, squeeze=False, height_ratios=ratios)[:, 0])
     for above, below, stroke in zip(
@@ -181,7 +181,7 @@ def _content(diagnosis: Diagnosis) -> dict[str, Any]:
         "kind": verdict.kind,
         "kind_words": words,
         "is_sure": is_sure,
-        "probability": probability_words(verdict),
+        "probability": percent(verdict.probability),
         "headline": headline(diagnosis),
         "summary": summarise(diagnosis),
         "improvement": _improvement(diagnosis, scale, unit, sigma),
@@ -244,7 +244,9 @@ def _improvement(diagnosis: Diagnosis, scale: float, unit: str, sigma: float) ->
     words = f"On fitted data: {_change(scale * before.train_rmse, scale * after.train_rmse, unit)}."
     if math.isfinite(before.holdout_rmse):
         words += f" On held-out data: {_change(scale * before.holdout_rmse, scale * after.holdout_rmse, unit)}."
-    words += f" The sensor's noise is {three_digits(sigma)} {unit}. {rounding_words(diagnosis)}"
+    unseen = unseen_noise_words(diagnosis)
+    what = "The best model leaves" if unseen else "The sensor's noise is"
+    words += f" {what} {three_digits(sigma)} {unit}. {rounding_words(diagnosis)} {unseen}"
     return f"Root-mean-square error before → after. {words.rstrip()}"
 
 

@@ -24,7 +24,7 @@ from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
 from valve_sim.identification.plants.effect_titles import WRONG, named, title_of
 from valve_sim.identification.plants.valve import DAMPINGS
 from valve_sim.identification.reporting.units import measured, quantity
-from valve_sim.identification.reporting.wording import probability_words
+from valve_sim.identification.reporting.wording import percent
 from valve_sim.model import CATALOGUE, DECLARED
 from valve_sim.model.gas import GAS
 
@@ -57,7 +57,7 @@ def occasion_words(occasion: Occasion) -> str:
 
 def told_finding(finding: FaultFinding, occasion: Occasion) -> str:
     """A finding as it is said on every channel: of which valve, when, what has changed, and with which probability."""
-    return f"{occasion_words(occasion)}: {finding_words(finding)}; probability {probability_words(finding.verdict)}"
+    return f"{occasion_words(occasion)}: {finding_words(finding)}; probability {percent(finding.verdict.probability)}"
 
 
 def stroke_name(report: StrokeReport) -> str:
@@ -71,7 +71,7 @@ def state_words(state: StrokeState) -> str:
 
 
 def fault_words(fault: Fault) -> str:
-    """What the valve did not do."""
+    """The motion that the valve failed to make, in words."""
     match fault:
         case DidNotOpen(travel):
             words = f"the valve did not open: the pilot plunger moved {_mm(travel)} only"
@@ -105,14 +105,16 @@ def finding_words(finding: FaultFinding) -> str:
     """What has changed in the valve, such as "Coulomb friction 0.310 ± 0.020 N, none when commissioned"."""
     verdict = finding.verdict
     if verdict.kind == "none":
-        return "the last strokes are as those of the commissioned valve"
+        return "the last strokes do not differ from those at commissioning"
     if verdict.kind == "unknown":
         nearest = f"; the nearest is {named(verdict.effects)}" if verdict.effects else ""
         return f"something has changed that no effect of the catalogue explains{nearest}"
     changes = "; ".join(_change(effect, finding) for effect in verdict.effects) or "no change at all"
     others = named(sorted({other for names in verdict.confusable_with.values() for other in names}), "or")
     alternatives = f" ({others} would explain it about as well)" if others else ""
-    uncertain = "the strokes cannot tell what has changed; the likeliest: " if verdict.kind == "insufficient" else ""
+    uncertain = (
+        "the strokes cannot tell what has changed; the most probable: " if verdict.kind == "insufficient" else ""
+    )
     return f"{uncertain}{changes}{alternatives}"
 
 

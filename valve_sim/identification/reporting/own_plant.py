@@ -21,7 +21,7 @@ from valve_sim.identification.plants.own import OwnPlant
 from valve_sim.identification.reporting.findings import remark_on
 from valve_sim.identification.reporting.interval_json import intervals_json
 from valve_sim.identification.reporting.units import limits, measured, quantity
-from valve_sim.model.core.own.grammar import Expr
+from valve_sim.model.core.own.grammar import Expr, names_in
 from valve_sim.model.core.own.units import text_of
 
 
@@ -159,7 +159,13 @@ def changed_plant(  # noqa: PLR0912 -- one for each part of a file
     for effect in effects:
         chosen = file.effects[effect]
         own = {name: f"{effect}_{name}" for name in chosen.parameters}
+        for target, name in chosen.delay.items():
+            entry = found["inputs" if target in file.inputs else "outputs"][target]
+            entry["delay"] = float(f"{entry.get('delay', 0.0) + values[f'{effect}.{name}']:.9g}")
+        used = {name for added in chosen.add.values() for name in names_in(added)}
         for name, parameter in chosen.parameters.items():
+            if name not in used:
+                continue
             value = values[f"{effect}.{name}"]
             ends = [end / parameter.unit.factor for end in (parameter.lower, parameter.upper)]
             declared: dict[str, Any] = {"value": float(f"{value / parameter.unit.factor:.9g}")}

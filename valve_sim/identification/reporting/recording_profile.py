@@ -93,7 +93,7 @@ def write_profile(path: Path, recommendation: Recommendation | None, valve: Valv
         *_gain_words(recommendation),
         "",
         "Rows are [time in s, volts]; each voltage holds until the next row. Highest: "
-        f"{max(abs(drive.volts)):g} V; leave out what your coil or its driver does not stand.",
+        f"{max(abs(drive.volts)):g} V; remove rows that your coil or its driver cannot stand.",
         f"Simulate: {valve_sim} simulate --profile {file} --duration {duration_of(drive):.2f} --output next.mcap",
         f"Command:  {invocation('command_profile')} --ros-args -p profile:={file} -p valve:=/valve",
         f"Then diagnose the new recording together with the old one: {valve_sim} diagnose OLD NEW --output results",

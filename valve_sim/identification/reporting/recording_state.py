@@ -35,8 +35,8 @@ SHOWN: Final = 0.5
 """Of the range, what their means are to reach."""
 SMALL_TALK: Final = ("clock_offset", "clock_rate", "scale")
 """Errors that are estimated and cost next to nothing: no advice is printed for them."""
-UNTOLD: Final = "State of the recording: not told, since what has no name would be taken for errors of the recording."
-"""In place of it, where something unnamed acts."""
+UNTOLD: Final = "State of the recording: not reported, because something unnamed acts, which its errors would imitate."
+"""The line in place of the state of the recording, where something unnamed acts."""
 
 
 def _unit(entry: RecordedError) -> tuple[float, str, str]:
@@ -72,7 +72,7 @@ def size_words(entry: RecordedError) -> str:
 
 
 def title_words(entry: RecordedError) -> str:
-    """What it is, with what else is known of it."""
+    """Title of an error of a recording, with its further figures."""
     return f"{entry.title} ({entry.detail})" if entry.detail else entry.title
 
 
@@ -141,7 +141,7 @@ def state_lines(state: RecordingState) -> list[str]:
 
 
 def _advice(entry: RecordedError, hidden: Hidden | None) -> str:
-    """What to do, and what for."""
+    """Advice on an error of a recording, and the effect that it hides most."""
     if hidden is None:
         return entry.what_to_do
     now, then = quantity(hidden.limit, hidden.unit), quantity(hidden.without, hidden.unit)

@@ -23,7 +23,9 @@ def summarise(diagnosis: Diagnosis) -> str:
         sentences.append(recording_advice(diagnosis))
     if untried:
         few = ", ".join(untried[:SHOWN_UNTRIED]) + (", ..." if len(untried) > SHOWN_UNTRIED else "")
-        sentences.append(f"Left untried, by the budget or because they cannot be simulated, are {len(untried)}: {few}.")
+        sentences.append(
+            f"{len(untried)} sets were left untried, by the budget or because they cannot be simulated: {few}."
+        )
     return " ".join(sentences)
 
 
@@ -38,8 +40,8 @@ def recording_advice(diagnosis: Diagnosis) -> str:
         return f"{words}."
     one, other = (named(candidate.split(" + ")) for candidate in best.pair)
     return (
-        f"{words}; of single pulses {best.experiment.words} tells most: {best.repeats} of them set {one} apart from "
-        f"{other} by {math.sqrt(best.repeats) * best.separation:.0f} standard deviations, others by more."
+        f"{words}; the best single pulse is {best.experiment.words}: {best.repeats} of them separate {one} from "
+        f"{other} by {math.sqrt(best.repeats) * best.separation:.0f} standard deviations, and other pairs by more."
     )
 
 

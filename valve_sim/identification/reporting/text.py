@@ -6,11 +6,10 @@ import math
 import textwrap
 
 from valve_sim.identification.diagnosis.run import Diagnosis, Verdict
-from valve_sim.identification.plants.effect_titles import capitalised, named_value, title_of
+from valve_sim.identification.plants.effect_titles import capitalised, named, named_value, title_of
 from valve_sim.identification.plants.protocol import primary_channels
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.declared_values import summary_words
-from valve_sim.identification.reporting.detection_limits import limit_rows
 from valve_sim.identification.reporting.findings import remark_on
 from valve_sim.identification.reporting.recording_state import UNTOLD, recording_lines
 from valve_sim.identification.reporting.summary import recording_advice, summarise
@@ -20,9 +19,11 @@ from valve_sim.identification.reporting.wording import (
     headline,
     holdout_words,
     kind_words,
+    limit_rows,
     meanings,
-    probability_words,
+    percent,
     rounding_words,
+    unseen_noise_words,
 )
 
 _WIDTH = 44
@@ -44,14 +45,18 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
             lines.append(
                 f"  {label + ', rms error':<28}{quantity(errors[0], unit)} before, {quantity(errors[1], unit)} after"
             )
-    lines.append(f"  {'noise of the sensor':<28}{quantity(noise, unit)}")
-    remarks = (choice_words(diagnosis), rounding_words(diagnosis), holdout_words(diagnosis))
+    unseen = unseen_noise_words(diagnosis)
+    label = "left by the best model" if unseen else "noise of the sensor"
+    lines.append(f"  {label:<28}{quantity(noise, unit)}")
+    remarks = (choice_words(diagnosis), rounding_words(diagnosis), unseen, holdout_words(diagnosis))
     lines += [f"  {words}" for words in remarks if words]
     for meaning in meanings(diagnosis):
         severity = f", {meaning.severity}" if meaning.severity else ""
         amounts = "; ".join(f"{what} {value}" for what, value in meaning.amounts)
         lines.append(f"  {meaning.title} ({meaning.name}): {amounts}{severity}")
         lines += [f"    {words}" for words in (meaning.on_a_real_valve, meaning.what_to_do) if words]
+    if verdict.kind == "unknown":
+        lines.append("  Values of the declared model by itself, which what is missing distorts:")
     for name, found in after.intervals.items():
         unit = named_value(diagnosis.plant, name)[1]
         lines.append(f"  {name:<{_WIDTH}}{measured(found, unit)}")
@@ -59,10 +64,11 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
             lines += textwrap.wrap(
                 f"95 % interval {limits(found, unit)}: {remark}.", 118, initial_indent="    ", subsequent_indent="    "
             )
+    lines += _nearest_lines(diagnosis)
     state = [UNTOLD] if diagnosis.verdict.kind == "unknown" else recording_lines(diagnosis.recording)
     lines += [f"  {words}" for words in state]
     if rows := limit_rows(diagnosis):
-        lines.append("  Would be named in half of such recordings, each alone, from:")
+        lines.append("  Each effect alone would be named in half of such recordings from this size on:")
         lines += [f"    {title:<{_WIDTH - 2}}{words}" for title, words in rows]
     declared = diagnosis.declared
     if declared or isinstance(diagnosis.plant, ValvePlant):
@@ -76,9 +82,24 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
     return "\n".join(lines)
 
 
+def _nearest_lines(diagnosis: Diagnosis) -> list[str]:
+    """What the nearest names, which are not claimed, would come to beside something unnamed."""
+    verdict = diagnosis.verdict
+    found = next((one for one in diagnosis.candidates if set(one.effects) == set(verdict.effects)), None)
+    if verdict.kind != "unknown" or not verdict.effects or found is None:
+        return []
+    unit = _unit_and_noise(diagnosis)[0]
+    held_out = "" if math.isnan(found.holdout_rmse) else f", {quantity(found.holdout_rmse, unit)} held out"
+    error = f"rms error {quantity(found.train_rmse, unit)} fitted{held_out}"
+    lines = [f"  With {named(verdict.effects)}, which is not claimed, {error}:"]
+    for name, value in found.intervals.items():
+        lines.append(f"    {name:<{_WIDTH - 2}}{measured(value, named_value(diagnosis.plant, name)[1])}")
+    return lines
+
+
 def _certainty(verdict: Verdict) -> str:
     """How sure the verdict is; of `none` only the probability, because the headline has the rest."""
-    probability = f"probability {probability_words(verdict)}"
+    probability = f"probability {percent(verdict.probability)}"
     return f"{capitalised(probability)}." if verdict.kind == "none" else f"{kind_words(verdict)[0]} ({probability})."
 
 

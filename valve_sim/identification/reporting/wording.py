@@ -9,6 +9,7 @@ from typing import Any, Final, NamedTuple
 from valve_sim.identification.diagnosis.run import Diagnosis, Verdict
 from valve_sim.identification.estimation.result import effective_rmse
 from valve_sim.identification.plants.effect_titles import capitalised, named, title_of, what_is_missing
+from valve_sim.identification.plants.own import OwnPlant
 from valve_sim.identification.plants.protocol import Plant, primary_channels
 from valve_sim.identification.plants.tolerances import GROUP
 from valve_sim.identification.plants.valve import ValvePlant
@@ -72,11 +73,6 @@ def kind_words(verdict: Verdict) -> tuple[str, bool]:
     return (probable, False) if verdict.probability >= EVEN else (guess, False)
 
 
-def probability_words(verdict: Verdict) -> str:
-    """The probability in percent; never 100."""
-    return percent(verdict.probability)
-
-
 def percent(probability: float) -> str:
     """A probability in percent; never 0 or 100."""
     if probability >= 0.995:
@@ -113,12 +109,26 @@ def headline(diagnosis: Diagnosis) -> str:
 
 
 def holdout_words(diagnosis: Diagnosis) -> str:
-    """What held-out data were used for, in a sentence."""
+    """The use that was made of held-out data, in a sentence."""
     if diagnosis.before.holdout is None:
         return "No data were held out: only the fitted data support this."
     return (
-        "Held-out data are predicted with everything that the fitted data have determined; only the errors of "
-        "their recording, its clocks and stamps, are estimated anew. They chose nothing."
+        "Held-out data take no part in the fits. They are predicted with everything that the fitted data have "
+        "determined; only the errors of their own recording, its clocks and stamps, are estimated anew."
+    )
+
+
+def unseen_noise_words(diagnosis: Diagnosis) -> str:
+    """What it means that a machine is never still, in a sentence or two; empty where the sensor's noise is known."""
+    problem, channel = diagnosis.before.fit.problem, primary_channels(diagnosis.plant)[0]
+    if problem.noise_of(channel).samples:
+        return ""
+    mend = (
+        " Declare it where a data sheet has it (noise: of an output)." if isinstance(diagnosis.plant, OwnPlant) else ""
+    )
+    return (
+        "The sensor's noise is not known, since the machine is never still for long enough to show it: what the best "
+        f"model leaves is taken for it, and what else is as small may act unseen.{mend}"
     )
 
 
@@ -127,10 +137,10 @@ def choice_words(diagnosis: Diagnosis) -> str:
     choice = diagnosis.choice
     if choice is None:
         return ""
-    kinds = f", of each of {choice.kinds} kinds of command some" if choice.kinds > 1 else ""
+    kinds = f", some of each of {choice.kinds} kinds of command," if choice.kinds > 1 else ""
     return (
-        f"Looked at were {len(choice.chosen)} of {choice.recorded} strokes{kinds}, spread over the recording, because "
-        "strokes under the same commands repeat what one of them tells. validate judges all strokes."
+        f"{len(choice.chosen)} of {choice.recorded} strokes were examined{kinds} spread over the recording, because "
+        "strokes under the same commands tell the same. validate checks all strokes."
     )
 
 
@@ -152,7 +162,7 @@ def rounding_words(diagnosis: Diagnosis) -> str:
     if not falls:
         return ""
     return (
-        "At rest the sensor repeats one rounded reading; counted once in place of with every sample, "
+        "At rest the sensor repeats one rounded reading. If each such run is counted once, not once for each sample, "
         f"the error goes from {' and from '.join(falls)}."
     )
 
@@ -192,7 +202,7 @@ def meanings(diagnosis: Diagnosis) -> list[Meaning]:
 
 
 def _worth_words(diagnosis: Diagnosis, effect: str) -> tuple[tuple[str, str], ...]:
-    """What a name is worth beside others; nothing where it stands alone."""
+    """How much of the error one of several named effects explains, in words; empty for a single name."""
     worth = diagnosis.verdict.worth.get(effect)
     if worth is None or len(diagnosis.verdict.effects) < 2:
         return ()
@@ -200,6 +210,21 @@ def _worth_words(diagnosis: Diagnosis, effect: str) -> tuple[tuple[str, str], ..
         "" if math.isnan(worth.remaining) else f"; with it alone {percent(worth.remaining)} of the error would be left"
     )
     return (("share of the improvement", f"{percent(worth.improvement)}{left}"),)
+
+
+def limit_rows(diagnosis: Diagnosis) -> list[tuple[str, str]]:
+    """Each effect that has a detection limit, and how much of it would have shown; of several parameters each."""
+    rows = []
+    for name, limits in diagnosis.detection_limits.items():
+        switches = {switch.name: switch.unit for switch in diagnosis.plant.effects[name].parameters}
+        known = {parameter: limit for parameter, limit in limits.items() if math.isfinite(limit)}
+        if known:
+            words = ", ".join(
+                (f"{parameter.replace('_', ' ')} " if len(known) > 1 else "") + quantity(limit, switches[parameter])
+                for parameter, limit in known.items()
+            )
+            rows.append((title_of(name), words))
+    return rows
 
 
 def declared_effects(plant: Plant) -> list[str]:

@@ -19,6 +19,7 @@ from typing import Final
 import numpy as np
 from numpy.linalg import norm
 
+from valve_sim.identification.estimation.projection import OrthogonalProjector
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.plants.protocol import (
     SMALL_MOVE,
@@ -32,7 +33,6 @@ from valve_sim.identification.plants.protocol import (
 )
 from valve_sim.identification.selection.posterior import SURE, Rivals
 from valve_sim.identification.selection.score_test import (
-    OrthogonalProjector,
     log_bayes_factor,
     released_spread,
     standard_errors,

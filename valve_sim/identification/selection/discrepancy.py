@@ -186,10 +186,9 @@ class Discrepancy:
         logs, evidence = np.empty((len(SIZES), len(self._lengths))), model.evidence_of(errors)
         for length in range(len(self._lengths)):
             rotated, sizes = self._rotated(sums, length)
-            for number, size in enumerate(SIZES):
-                shrunk = rotated * (1.0 - 1.0 / (1.0 + size**2 * sizes))[:, None]
-                volume = float(np.sum(np.log1p(size**2 * sizes)))
-                logs[number, length] = evidence(of_rows - rotated.T @ shrunk) - 0.5 * volume
+            spreads = np.square(SIZES)[:, None] * sizes
+            known = [rotated.T @ (rotated * (1.0 - 1.0 / (1.0 + own))[:, None]) for own in spreads]
+            logs[:, length] = evidence(of_rows - np.array(known)) - 0.5 * np.log1p(spreads).sum(axis=1)
         posterior = logs + _LOG_PRIOR_OF_SIZE[:, None] - math.log(len(self._lengths))
         total = float(logsumexp(posterior))
         row, column = np.unravel_index(int(np.argmax(posterior)), posterior.shape)

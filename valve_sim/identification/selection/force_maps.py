@@ -98,8 +98,8 @@ def _any(choice: ForceMap, base: Fit) -> list[NonparametricFit]:
 
 
 def _held(base: Fit) -> dict[str, float]:
-    """What a fit holds."""
-    estimated = {*base.free, *(nuisance.name for nuisance in base.nuisances)}
+    """The values that a fit keeps fixed."""
+    estimated = {*base.names}
     return {name: value for name, value in base.values.items() if name not in estimated}
 
 

@@ -73,7 +73,7 @@ class Share(NamedTuple):
 
 @dataclass(frozen=True)
 class Rivals:
-    """What may be missing.
+    """The names that a hypothesis may contain.
 
     Attributes:
         effects: names of effects, and of declared values that may be wrong although a tolerance is given.
@@ -100,7 +100,7 @@ class Rivals:
 
 
 def rivals_of(plant: Plant) -> Rivals:
-    """What may be missing of a machine."""
+    """The hypotheses about a machine: effects, and declared values that may be wrong."""
     # What has a tolerance is as rarely wrong as an effect acts; of what has none nobody says how well it is known.
     tolerated = {own.name for own in plant.nuisances if own.is_of_machine}
     wrong = frozenset(

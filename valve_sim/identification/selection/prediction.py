@@ -12,16 +12,17 @@ along the principal axes a_k of both posteriors, one standard deviation each.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from valve_sim.identification.estimation.gram import gram
-from valve_sim.identification.estimation.linearised import Linearised, bounded_step
+from valve_sim.identification.estimation.linearised import Linearised, bounded_steps
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.recording import fit_recording
 from valve_sim.identification.estimation.result import Fit, rmse
+from valve_sim.identification.plants.covariance_root import covariance_root
 from valve_sim.identification.plants.protocol import Array, from_internal, primary_channels, varying_of
 from valve_sim.identification.selection.discrepancy import Discrepancy, lengths_of
 from valve_sim.model import SimulationError
@@ -54,18 +55,14 @@ def machine_values(result: Fit) -> dict[str, float]:
 
 def axes_of(result: Fit) -> list[dict[str, float]]:
     """The machine's values moved by one standard deviation along each principal axis of their posterior."""
-    own = [*range(len(result.free))]
-    own += [len(result.free) + at for at, nuisance in enumerate(result.nuisances) if nuisance.is_of_machine]
+    own = result.of_machine
     return _axes(result, own, machine_values(result), result.covariance[np.ix_(own, own)])
 
 
 def recording_axes_of(result: Fit) -> list[dict[str, float]]:
     """The errors of a recording, moved in the same way, all that is the machine's held."""
-    errors = [at for at, nuisance in enumerate(result.nuisances) if not nuisance.is_of_machine]
-    values = {result.nuisances[at].name: result.values[result.nuisances[at].name] for at in errors}
-    own = [len(result.free) + at for at in errors]
-    if not own:
-        return []
+    own = result.of_recordings
+    values = {result.names[at]: result.values[result.names[at]] for at in own}
     information = result.information[np.ix_(own, own)]
     scale = 1.0 / np.sqrt(np.diag(information))
     # A path that runs away from its start shows one direction so sharply that rounding hides the others.
@@ -73,22 +70,14 @@ def recording_axes_of(result: Fit) -> list[dict[str, float]]:
     return _axes(result, own, values, inverse)
 
 
-def _axes(result: Fit, own: Sequence[int], values: Mapping[str, float], covariance: Array) -> list[dict[str, float]]:
+def _axes(result: Fit, own: list[int], values: Mapping[str, float], covariance: Array) -> list[dict[str, float]]:
     """Values moved along the principal axes of the covariance of some coordinates, by their indices."""
-    if not own:
-        return []
-    covariance = np.where(np.isfinite(covariance), covariance, 0.0)
-    scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    safe = np.where(scale > 0.0, scale, 1.0)
-    sizes, directions = np.linalg.eigh(covariance / np.outer(safe, safe))
     plant, found = result.problem.plant, []
-    for size, direction in zip(sizes.tolist(), directions.T, strict=True):
-        moved = dict(values)
-        for place, index in enumerate(own):
-            low, high = result.room[index]
-            step = float(np.clip(math.sqrt(max(size, 0.0)) * direction[place] * scale[place], -low, high))
-            at = float(result.coordinates[index]) + step
-            name = result.free[index] if index < len(result.free) else result.nuisances[index - len(result.free)].name
+    low, high = result.room[own].T
+    for axis in covariance_root(covariance).T:
+        moved, steps = dict(values), np.clip(axis, -low, high).tolist()
+        for index, step in zip(own, steps, strict=True):
+            name, at = result.names[index], float(result.coordinates[index]) + step
             moved[name] = from_internal(plant.parameter(name), at) if index < len(result.free) else at
         found.append(moved)
     return found
@@ -102,8 +91,7 @@ class _Following:
     """
 
     def __init__(self, there: Fit) -> None:
-        self._fit, count = there, len(there.free)
-        self._own = [count + at for at, nuisance in enumerate(there.nuisances) if not nuisance.is_of_machine]
+        self._fit, self._own = there, there.of_recordings
         self._whitened = there.problem.without_errors(there.derivatives.condensed()[:, self._own])
         self._information = there.information[np.ix_(self._own, self._own)]
 
@@ -113,9 +101,10 @@ class _Following:
             return {}
         left = self._fit.problem.without_errors(change[:, None])[:, 0]
         room = self._fit.room[self._own]
-        steps = bounded_step(self._information, gram(self._whitened, left), room).tolist()
-        nuisances = [self._fit.nuisances[at - len(self._fit.free)].name for at in self._own]
-        return {name: self._fit.values[name] + step for name, step in zip(nuisances, steps, strict=True)}
+        pull = gram(self._whitened, left)
+        steps = bounded_steps(self._information[None], pull[None], room)[0].tolist()
+        names = [self._fit.names[at] for at in self._own]
+        return {name: self._fit.values[name] + step for name, step in zip(names, steps, strict=True)}
 
 
 def predicted(result: Fit, there: Fit, size: float = 0.0) -> Predicted:
@@ -189,7 +178,7 @@ class HeldOut:
             self.problem = there.problem
 
     def predicted(self, result: Fit, size: float = 0.0) -> Predicted | None:
-        """What it predicts of them."""
+        """The predicted error of held-out strokes."""
         there = self.fit(result)
         return None if there is None else predicted(result, there, size)
 

@@ -16,8 +16,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from valve_sim.identification.estimation.descent import STANDING, along
-from valve_sim.identification.estimation.gram import gram, orthonormal
 from valve_sim.identification.estimation.priors import HALF, Cauchy, Normal, Prior
+from valve_sim.identification.estimation.projection import MOVES_NOTHING, OrthogonalProjector
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.plants.protocol import (
     SMALL_MOVE,
@@ -34,8 +34,6 @@ SHAPES: Final = (1.0, 0.2, 5.0)
 """In prior scales of a parameter that shapes an effect but does not switch it on."""
 SIZES: Final = (SMALL_MOVE, 1.0)
 """In prior scales of a switch: near off, and large enough for a contact that only rebounds above a speed."""
-MOVES_NOTHING: Final = 1e-6
-"""Standard deviations, over all samples: a direction that changes the residual by less is ignored."""
 GRID: Final = 400
 """Points of the integral over a released value, for what the data say of it and for its prior each."""
 WIDE: Final = 8.0
@@ -56,7 +54,7 @@ class Addition(NamedTuple):
 
     @property
     def log_gain(self) -> float:
-        """What ln p would gain in all."""
+        """The gain of ln p, all terms together."""
         return self.gain + self.log_price
 
 
@@ -270,40 +268,3 @@ def _range_of(own: Nuisance, effect: EffectChoice, low: float, high: float) -> t
         if parameter.off is not None and parameter.lower == parameter.off:
             return max(low, own.mean), high
     return max(low, own.lower), min(high, own.upper)
-
-
-class OrthogonalProjector:
-    """Projection onto what is orthogonal to a fit's parameters and nuisances, with their priors.
-
-    Args:
-        base: the fit; its rows are those that were fitted.
-    """
-
-    def __init__(self, base: Fit) -> None:
-        pulls = [own.pull(float(at)) for own, at in zip(base.priors, base.coordinates, strict=True)]
-        roots = np.sqrt([own.curvature for own in pulls])
-        self._problem = base.problem
-        jacobian = base.problem.without_errors(base.derivatives.condensed())
-        columns = np.vstack([jacobian, np.diag(roots)])
-        size = np.sqrt(np.sum(np.square(columns), axis=0))
-        pulled = np.array([own.half_slope for own in pulls]) / np.where(roots > 0.0, roots, 1.0)
-        left = base.problem.without_errors(base.left.condensed()[:, None])[:, 0]
-        self._residuals = np.concatenate([left, pulled])
-        self._samples = len(jacobian)
-        self._fitted = orthonormal(columns[:, size > 0.0] / size[size > 0.0])
-
-    def along(self, change: Array) -> tuple[float, float]:
-        """Of an (r,) change: the square of what the fit cannot follow, and its product with the residual."""
-        left = self._left(change[:, None])
-        return float(np.sum(np.square(left))), float(left[:, 0] @ self._residuals)
-
-    def gain(self, directions: Array) -> float:
-        """By how much χ² falls where the fit may move along (r, q) directions, too."""
-        axes, sizes, _ = np.linalg.svd(self._left(directions), full_matrices=False)
-        kept = axes[:, (sizes > MOVES_NOTHING) & (sizes > 1e-4 * sizes[0])]
-        return float(np.sum(np.square(gram(np.asarray(kept), self._residuals))))
-
-    def _left(self, directions: Array) -> Array:
-        directions = self._problem.without_errors(directions)
-        padded = np.vstack([directions, np.zeros((len(self._fitted) - self._samples, directions.shape[1]))])
-        return np.asarray(padded - self._fitted @ (self._fitted.T @ padded))

@@ -149,10 +149,9 @@ class Search:
             found.update({names: bound for names in self.untried if names not in found})
         return found
 
-    def posterior(self, curves: Sequence[float] = (), raised: Mapping[Set, float] | None = None) -> Posterior:
-        """Of all that was tried."""
-        table = self.table(max((raised or {}).values(), default=0.0))
-        return posterior_of(self.rivals, table, curves, raised)
+    def posterior(self) -> Posterior:
+        """Of all that was tried, by the training data alone, and without curves."""
+        return posterior_of(self.rivals, self.table())
 
     def _log_weight(self, names: Set) -> float:
         """Ln of prior times evidence of a fitted set, whatever acts beside it."""
@@ -363,15 +362,20 @@ class Search:
                 if other in self._names and other not in best and names not in self.tried:
                     due[names] = other
 
+        # What lags behind by more cannot come near, whatever the volumes are.
+        goal = self.tried[best].fit.chi2 + 4.0 * NEAR
+
         def fitted(names: Set) -> Tried | None:
             starts = [{**values, **start} for start in effect_starts(self._cost, effects[due[names]], values)]
             # Not the nuisances of the best set: its effects may stand for declared values, which are missing there.
-            done = self._best_of(names, starts, SolverOptions())
+            done = self._best_of(names, starts, SolverOptions(goal=goal))
             return self._weighed(names, done) if done else None
 
         for names, found in zip(due, run_parallel(fitted, list(due)), strict=True):
-            if found is not None:
+            if found is not None and found.fit.chi2_lower_bound <= goal:
                 self.tried[names] = found
+            elif found is not None:
+                self.begun.setdefault(names, found)
 
     def _refit_contained(self, base: Set, best: Set) -> None:
         """Fit a set again from where a larger one ended: with more free, a fit leaves some local minima."""
@@ -625,7 +629,7 @@ class Search:
         return all(own.lower <= value <= own.upper for own, value in found)
 
     def free_names(self, names: Set) -> tuple[str, ...]:
-        """What a set frees."""
+        """The parameters that a set frees."""
         plant = self.problem.plant
         return (*plant.base, *itertools.chain(*(plant.effects[name].free_names() for name in names)))
 
@@ -657,7 +661,7 @@ def words(names: Set) -> str:
 
 
 def _promise(result: Fit) -> float:
-    """What ln p of a fit that has not ended may come to."""
+    """The largest ln p that an unfinished fit may reach."""
     return (
         result.log_evidence
         if result.converged

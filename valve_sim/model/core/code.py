@@ -23,7 +23,7 @@ _SMALLEST_EXPONENT: Final = -708.0
 
 
 class Value(NamedTuple):
-    """What an instruction made: its name, and its LLVM type."""
+    """The result of an instruction: its name, and its LLVM type."""
 
     text: str
     type: str

@@ -1,11 +1,12 @@
-"""The integrator: natural steps from event to event, of which all callers read.
+"""The integrator: steps from event to event, from whose polynomials all samples are read.
 
-A step ends where error control ends it or where something happens, never where a caller looks: samples within it are
-read from its polynomial. Only a command cuts a step. So the state does not depend on who looked when, and a valve that
-is stepped live is the whole run, to the last bit.
+A step ends where error control or an event ends it, never at the time of a sample: samples within it are read from its
+polynomial. Only a command cuts a step. So the state does not depend on when it was sampled, and a valve that is stepped
+live equals one whole run, to the last bit.
 
-These functions are compiled by `lowering`; the kernels that they invoke are those of `kernels`. `b` is the block of a
-valve, `t` that of its tangents, in as many directions as the block says; `layout` names their slots.
+Begin to read at `run`. These functions are compiled by `lowering`; the kernels that they invoke are made by `kernels`.
+`b` is the block of a valve, one array with all its parameters and states; `layout` names its slots. `t` has the
+tangents of the block, (slots, directions); the block says how many directions.
 
 Derivatives go through an event by its saltation: the states are moved to where the event is, by the rates before it
 times the derivative δ of its time, changed there as the event changes them, and moved back by the rates after it.
@@ -522,7 +523,7 @@ def look_at_end(b: Block, t: Block) -> None:
 
 
 def first_event(b: Block, t: Block) -> int:
-    """What ends a step first; sets its size to when that happens."""
+    """The first event in a step, to whose time the step is shortened."""
     ends = first_of_motion(b) if b[MOVING] > 0.0 else first_of_rest(b)
     if b[FREEWHEELS] != 0.0:
         gone = first_fall(b, GUARD + 2 * TERMS, b[STEP], 0.0)
@@ -563,7 +564,7 @@ def first_of_motion(b: Block) -> int:
 
 
 def first_of_rest(b: Block) -> int:
-    """Which way, if any, plungers at rest are first pushed off in a step."""
+    """The direction, if any, in which plungers at rest are first pushed off in a step."""
     ends = NO_EVENT
     rise = first_fall(b, GUARD, b[STEP], ROUNDING)
     if rise < b[STEP]:
@@ -997,7 +998,7 @@ def shown_pilot(b: Block, h: float) -> float:
 
 
 def shown_main(b: Block, h: float) -> float:
-    """Likewise of the main plunger."""
+    """The position of the main plunger as its sensor shows it, at h after the beginning of the step, m."""
     if b[LIFTED] == 0.0:
         return b[SHOWN_MAIN] * math.exp(-h / b[SENSOR_LAG]) if b[SENSOR_LAG] > 0.0 else 0.0
     if b[SENSOR_LAG] > 0.0:
@@ -1538,4 +1539,4 @@ FUNCTIONS: Final = (
     settle_flow, supply, run, cut, drive, renumber, start, whole, batch, read, advance, halt, command, set_pressures,
     settle,
 )  # fmt: skip
-"""What is compiled."""
+"""The functions that `lowering` compiles."""

@@ -24,13 +24,14 @@ _EVENTS_AT: Final = layout.SIZE + GAS_COLUMNS
 
 
 class Live:
-    """The block of a valve that is stepped, with its row of output and its events, and functions bound to it.
+    """The block of a valve that is stepped, with its row of output, its events, and the functions bound to it.
 
     Args:
         plan: of the valve. block: (layout.SIZE,), copied.
 
     Attributes:
-        block: what the valve is, and where. row: what was read last, see `driver.ROW_COLUMNS`; positions not late.
+        block: parameters and state of the valve, see `layout`.
+        row: the last reading, see `driver.ROW_COLUMNS`; positions are not delayed.
         advance: the raw entry: steps to a time, s, fills `row` and returns an Outcome, 0 if all is well; a tenth of
             the time that `step` takes.
     """
@@ -64,11 +65,11 @@ class Live:
 
     @property
     def delay(self) -> float:
-        """How late the position sensor shows what there is, s."""
+        """Delay of the position sensor, s."""
         return float(self.block[layout.DELAY])
 
     def copy(self) -> Live:
-        """The same valve in the same state, stepped on its own."""
+        """A copy of this valve in this state, which is then stepped independently."""
         return Live(self.plan, self.block)
 
     def step(self, time: float, *, commit: bool) -> tuple[Event, ...]:

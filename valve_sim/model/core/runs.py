@@ -234,7 +234,7 @@ def _both(currents: Array, pressures: Array) -> tuple[Array, Any, Any]:
 
 
 def width_of(count: int) -> int:
-    """How many directions are carried for so many that are asked for."""
+    """Number of directions of the kernels that serve a number of requested directions."""
     return next(width for width in WIDTHS if width >= count)
 
 

@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 TOLERANCE: Final = 1e-8
 """Relative error of one step. It leaves the events of random valves within 1e-10 s, and most within 1e-12 s.
 
-At 1e-10 they are within 1e-11 s, for some 40 % more steps (`python -m benchmarks.core`).
+At 1e-10 they are within 1e-11 s, for some 40 % more steps (`python -m benchmarks.accuracy`).
 """
 EVENT_ROOM: Final = 256
 """Events for which there is room at first; a run with more is repeated."""
@@ -34,7 +34,7 @@ _KINDS: Final = tuple(EventKind)
 
 
 def most_steps(duration: float) -> int:
-    """How many steps a run of a duration, s, may take."""
+    """Largest number of steps that a run of a duration, s, may take."""
     return int(MOST_STEPS * (1.0 + max(0.0, min(duration, LONGEST_RUN))))
 
 

@@ -440,7 +440,7 @@ _EVALUATED: Final[Mapping[str, Any]] = {
         for name in ("exp", "log", "expm1", "log1p", "sin", "cos", "tanh")
     },
 }
-"""What NumPy makes of each operation."""
+"""The NumPy function for each operation."""
 
 
 def derivative(nodes: Iterable[Node], seeds: Mapping[Node, Node]) -> list[Node | None]:
@@ -517,7 +517,7 @@ def _sum(terms: Iterable[Node | None]) -> Node | None:
 
 
 _Part: TypeAlias = Callable[[Node], Node]
-"""What a derivative takes from that of one argument."""
+"""The factor by which the derivative of one argument enters that of an operation."""
 
 
 def _parts_of_mul(node: Node) -> tuple[_Part, ...]:

@@ -26,9 +26,9 @@ class Tag(enum.Enum):
     COIL = "coil"
     """Between the commanded voltage and the pull."""
     CONTACT = "contact"
-    """Where the plungers touch, and what happens there."""
+    """Effects at the contacts of the plungers: where these are, and how they rebound."""
     SENSOR = "sensor"
-    """What is measured, not what happens."""
+    """Effects of a sensor, which do not change the motion."""
     GAS = "gas"
     """Of the gas that flows, where there is any."""
     LIKE_DAMPING = "like damping"
@@ -163,9 +163,8 @@ class Effect(_Words):
         for attribute, default in defaults.items():
             if not getattr(self, attribute):
                 object.__setattr__(self, attribute, default)
-        is_of_term = (
-            getattr(self.force, "__func__", None) is Effect._force_of_term
-        )  # of the entry that this one replaces
+        # The entry that this one replaces would be named in what its term raises.
+        is_of_term = getattr(self.force, "__func__", None) is Effect._force_of_term
         if (self.force is None or is_of_term) and self.term is not None:
             object.__setattr__(self, "force", self._force_of_term)
         if self.adds_to:

@@ -14,7 +14,7 @@ def columns(seen: Seen) -> Array:
 
 
 def amount(coefficients: Array, _: Array) -> float:
-    """What it adds at the end of the range."""
+    """The error at the end of the range."""
     return float(coefficients[0])
 
 

@@ -20,7 +20,7 @@ def columns(seen: Seen) -> Array:
 
 
 def amount(coefficients: Array, _: Array) -> float:
-    """What is shown of nothing."""
+    """The reading of a closed valve."""
     return float(coefficients[0])
 
 

@@ -283,6 +283,7 @@ def run(  # noqa: PLR0912, PLR0915 -- one loop, whose parts are the functions ab
     events = 0
     while sample < sample_count:
         steps += 1
+        b[at.TAKEN] = 1.0 * steps
         if steps > most:
             return TOO_MANY
         time = b[at.TIME]

@@ -14,13 +14,13 @@ MOST_GUARDS: Final = 40
 MOST_SLIDING: Final = 4
 MOST_NUMBERS: Final = 160
 
-TIME, STEP, LONGEST, TOLERANCE, ELAPSED, DEFECT = range(6)
+TIME, STEP, LONGEST, TOLERANCE, ELAPSED, DEFECT, TAKEN = range(7)
 """s; size of the step, s, and the longest allowed; relative error of a step; the time since the start of the step at
-which states are asked for, s; error of the series over what is tolerated."""
+which states are asked for, s; error of the series over what is tolerated; how many steps were taken."""
 MOVE, SLIDE, AT, LOOK, ROW = range(8, 13)
 """Addresses of the kernels, as bits."""
 STATES, GUARDS, OUTPUTS, INPUTS, SLIDING, WIDTH = range(16, 22)
-"""How many there are of each, and of directions of derivatives."""
+"""Slots for the numbers of each kind, and of directions of derivatives."""
 STATE: Final = 32
 END: Final = STATE + MOST_STATES
 """At the time `ELAPSED` after the start of the step."""

@@ -89,6 +89,7 @@ class Machine:
         samples: Array,
         directions: Sequence[Mapping[str, float]] = (),
         start_time: float | None = None,
+        most: int | None = None,
     ) -> tuple[Array, Array]:
         """What the outputs are at some times.
 
@@ -98,6 +99,7 @@ class Machine:
             directions: along each a derivative is taken: parameters and states at the start, by how much they change;
                 a state's name stands for its start.
             start_time: s; default the first sample or the first time of the inputs, whichever is earlier.
+            most: steps that it may take; default so many that hardly any equations need more.
 
         Returns:
             (n, outputs) in SI, and (n, outputs, directions).
@@ -108,17 +110,24 @@ class Machine:
         if not len(samples):
             return np.empty((0, len(self.system.outputs))), np.empty((0, len(self.system.outputs), len(directions)))
         shown, columns = np.empty(0), []
-        most = WIDTHS[-1]
-        parts = [directions[i : i + most] for i in range(0, len(directions), most)] or [()]
+        width = WIDTHS[-1]
+        parts = [directions[i : i + width] for i in range(0, len(directions), width)] or [()]
         for part in parts:
-            shown, slopes = self._run(numbers, start, inputs, samples, part, start_time)
+            shown, slopes, _ = self._run(numbers, start, inputs, samples, part, start_time, most)
             columns.append(slopes[:, :, : len(part)])
         return shown, np.concatenate(columns, axis=2)
 
+    def steps(
+        self, numbers: Mapping[str, float], start: Mapping[str, float], inputs: Inputs, samples: Array,
+        start_time: float | None = None,
+    ) -> int:  # fmt: skip
+        """How many steps a run takes; arguments and errors as of `run`."""
+        return self._run(numbers, start, inputs, samples, (), start_time, None)[2] if len(samples) else 0
+
     def _run(
         self, numbers: Mapping[str, float], start: Mapping[str, float], inputs: Inputs, samples: Array,
-        directions: Sequence[Mapping[str, float]], start_time: float | None,
-    ) -> tuple[Array, Array]:  # fmt: skip
+        directions: Sequence[Mapping[str, float]], start_time: float | None, most: int | None,
+    ) -> tuple[Array, Array, int]:  # fmt: skip
         system = self.system
         width = next(own for own in WIDTHS if own >= len(directions))
         library = self._library(width)
@@ -152,7 +161,7 @@ class Machine:
         samples = np.ascontiguousarray(samples, dtype=np.float64)
         out = np.zeros((len(samples), len(system.outputs)))
         slopes = np.zeros((len(samples), len(system.outputs), max(width, 1)))
-        steps = STEPS_MORE + STEPS_EACH * (len(knots) + len(samples))
+        steps = STEPS_MORE + STEPS_EACH * (len(knots) + len(samples)) if most is None else most
         arrays = (block, tangents, knots, levels, held, samples, out, slopes)
         outcome = _driver()(*(array.ctypes.data for array in arrays), len(knots), len(samples), steps)
         if outcome == driver.TOO_MANY:
@@ -161,7 +170,7 @@ class Machine:
             )
         if outcome == driver.NOT_FINITE or not np.all(np.isfinite(out)):
             raise SimulationError(f"a state or output is not finite from {block[at.TIME]:.6g} s on")
-        return out, slopes
+        return out, slopes, int(block[at.TAKEN])
 
 
 @machine.made_once
@@ -176,7 +185,7 @@ def _driver():  # type: ignore[no-untyped-def]
 
 
 def without_straight(inputs: Inputs) -> Inputs:
-    """The same inputs without the times at which none of them turns."""
+    """The inputs without the times at which none of them changes its slope."""
     times, levels, held = inputs
     if len(times) < 3:
         return inputs

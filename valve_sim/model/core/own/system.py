@@ -224,4 +224,4 @@ _OPERATIONS: Final[Mapping[str, Callable[[Node, list[Node]], Node]]] = {
     "cos": lambda node, a: cos(a[0]),
     "tanh": lambda node, a: tanh(a[0]),
 }
-"""What makes each operation again, of other arguments."""
+"""The function that applies each operation to other arguments."""

@@ -31,12 +31,13 @@ class Unit(NamedTuple):
 
     Attributes:
         factor: SI units in one of it. dimension: powers of the base units. si: the SI unit that it is a part of, as
-            people read it.
+            people read it. zero: in SI, what a reading of 0 is: of °C, 273.15 K. Differences have no zero.
     """
 
     factor: float
     dimension: Dimension
     si: str
+    zero: float = 0.0
 
 
 _BASE: Final[Mapping[str, tuple[float, Dimension, str]]] = {
@@ -55,9 +56,13 @@ _ALONE: Final[Mapping[str, tuple[float, Dimension, str]]] = {
     "%": (0.01, NONE, "1"), "min": (60.0, (0, 0, 1, 0, 0), "s"),
     "h": (3600.0, (0, 0, 1, 0, 0), "s"), "in": (0.0254, (1, 0, 0, 0, 0), "m"),
     "psi": (6894.757293168, (-1, 1, -2, 0, 0), "Pa"),
+    "degC": (1.0, (0, 0, 0, 0, 1), "K"), "°C": (1.0, (0, 0, 0, 0, 1), "K"), "g0": (9.80665, (1, 0, -2, 0, 0), "m/s²"),
     "kgf": (9.80665, (1, 1, -2, 0, 0), "N"), "lbf": (4.4482216152605, (1, 1, -2, 0, 0), "N"),
 }  # fmt: skip
+_ZEROS: Final = {"degC": 273.15, "°C": 273.15}
+"""K, by units that begin elsewhere than at 0; within a product, as in W/°C, they are of differences."""
 _PREFIX: Final = {
+    "h": 1e2,
     "n": 1e-9,
     "u": 1e-6,
     "µ": 1e-6,
@@ -88,7 +93,7 @@ def parse_unit(text: str) -> Unit:
     if len(text) > 80:
         raise UnitError(f"found {text[:40]!r}..., expected a unit such as N*s/m")
     factor, dimension, shown = _Reader(text).whole()
-    return Unit(factor, dimension, _tidy(shown) or "–")
+    return Unit(factor, dimension, _tidy(shown) or "–", _ZEROS.get(text.strip(), 0.0))
 
 
 class _Reader:
@@ -175,6 +180,9 @@ class _Reader:
         return found
 
     def _named(self, text: str) -> tuple[float, Dimension, str]:
+        if text == "g" and self._parts[self._place : self._place + 1] == [("power", "0")]:
+            self._place += 1
+            text = "g0"
         if text in _ALONE:
             return _ALONE[text]
         if text in _BASE:
