@@ -29,9 +29,9 @@ from model.reference import reference
 from plants.gas import GasValve
 from rich.console import Console
 from rich.table import Table
+from valve_sim.model.gas.sampling import ROW
 
 from valve_sim.model import Drive, EventKind, Valve, simulate
-from valve_sim.model.gas.sampling import ROW
 from valve_sim.model.response import event_log, event_tuple
 from valve_sim.model.simulation import TOLERANCE, Samples, columns_of, new_states, run_record
 

@@ -238,13 +238,6 @@ for compressed in (False, True):
 # --- no place for compiled code ---
 
 
-def test_a_cache_that_cannot_be_written_is_a_warning(tmp_path: Path) -> None:
-    script = "from valve_sim.model import compiling; print(compiling.cache_folder())"
-    ran = run(script, NUMBA_CACHE_DIR="/dev/null/cache")
-    assert ran.stdout == "None\n"
-    assert "/dev/null/cache: cannot be written, Not a directory" in ran.stderr
-
-
 def test_a_cache_that_fills_up_while_it_is_written_costs_time_only(tmp_path: Path) -> None:
     cache = tmp_path / "cache"
     ran = run(LIMITED, 30_000, *SIMULATE, 0.01, "--output", tmp_path / "x.csv", VALVE_SIM_CACHE=str(cache))
@@ -255,7 +248,6 @@ def test_a_cache_that_fills_up_while_it_is_written_costs_time_only(tmp_path: Pat
 
 def test_a_full_disk_holds_no_cache(tmp_path: Path) -> None:
     with small_disk(tmp_path / "disk") as disk:
-        script = "from valve_sim.model import compiling; print(compiling.cache_folder())"
-        ran = run(script, NUMBA_CACHE_DIR=str(disk))
-        assert ran.stdout == "None\n"
-        assert "the disk is full" in ran.stderr
+        ran = run(WHOLE, *SIMULATE, 0.01, "--output", tmp_path / "x.csv", VALVE_SIM_CACHE=str(disk))
+        assert (ran.returncode, ran.stderr) == (0, "")
+        assert (tmp_path / "x.csv").exists()

@@ -5,10 +5,8 @@ from __future__ import annotations
 import json
 import os
 import stat
-import warnings
 from html.parser import HTMLParser
 from pathlib import Path
-from typing import NoReturn
 from xml.etree import ElementTree
 
 import pytest
@@ -20,7 +18,8 @@ from valve_sim.cli import main
 from valve_sim.files import yaml_files
 from valve_sim.files.parameter_files import load_valve
 from valve_sim.identification.plants.event_table import read_event_table
-from valve_sim.model import ValveError, compiling
+from valve_sim.model import ValveError
+from valve_sim.model.core import machine
 from valve_sim.traces import list_valves, write_bag
 from valve_sim.traces.synthetic import read_profile
 
@@ -131,57 +130,49 @@ def test_a_name_in_a_bag_is_text_in_junit_and_on_the_terminal(tmp_path: Path, na
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Where code would be kept."""
     place = tmp_path / "cache"
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(place))
+    monkeypatch.setenv("VALVE_SIM_CACHE", str(place))
     return place
 
 
-def refused(says: str) -> bool:
-    with pytest.warns(RuntimeWarning, match=says):
-        return compiling.cache_folder() is None
-
-
 def test_a_new_cache_is_closed_to_others_whatever_the_umask(cache: Path) -> None:
-    cache.mkdir(mode=0o755)
     before = os.umask(0)
     try:
-        folder = compiling.cache_folder()
+        folder = machine.folder_in_use()
     finally:
         os.umask(before)
     assert folder is not None
-    assert folder.parent == cache
+    assert folder == cache
     assert stat.S_IMODE(folder.stat().st_mode) == 0o700
 
 
 def test_one_that_is_ours_is_used_again(cache: Path) -> None:
-    assert compiling.cache_folder() == compiling.cache_folder() != None  # noqa: E711
+    assert machine.folder_in_use() == machine.folder_in_use() != None  # noqa: E711
 
 
 @pytest.mark.parametrize("mode", [0o777, 0o770, 0o702])
 def test_one_that_others_can_write_to_is_not_used(cache: Path, mode: int) -> None:
-    folder = compiling.cache_folder()
+    folder = machine.folder_in_use()
     assert folder is not None
     folder.chmod(mode)
-    assert refused("others can write to it")
+    assert machine.folder_in_use() is None
 
 
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can give a folder away")
 def test_one_that_somebody_else_owns_is_not_used(cache: Path) -> None:
-    folder = compiling.cache_folder()
+    folder = machine.folder_in_use()
     assert folder is not None
     os.chown(folder, 12345, -1)
-    assert refused("owned by another user")
+    assert machine.folder_in_use() is None
 
 
 @pytest.mark.parametrize(("mode", "is_used"), [(0o777, False), (0o1777, True), (0o775, True)])
-def test_one_that_others_can_exchange_is_not_used(cache: Path, mode: int, is_used: bool) -> None:
+def test_one_that_others_can_exchange_is_not_used(
+    cache: Path, monkeypatch: pytest.MonkeyPatch, mode: int, is_used: bool
+) -> None:
     cache.mkdir()
     cache.chmod(mode)
-    if is_used:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            assert compiling.cache_folder() is not None
-    else:
-        assert refused("others can exchange what is in")
+    monkeypatch.setenv("VALVE_SIM_CACHE", str(cache / "own"))
+    assert (machine.folder_in_use() is not None) is is_used
 
 
 def test_a_link_to_a_folder_of_others_is_not_used(cache: Path, tmp_path: Path) -> None:
@@ -189,19 +180,15 @@ def test_a_link_to_a_folder_of_others_is_not_used(cache: Path, tmp_path: Path) -
     open_to_all.mkdir()
     open_to_all.chmod(0o777)
     cache.symlink_to(open_to_all)
-    assert refused("others can exchange what is in")
+    assert machine.folder_in_use() is None
 
 
 @pytest.fixture
 def homeless(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A user without a home, as in a container: temporary files are all that there is. Where they are."""
 
-    def unknown(number: int) -> NoReturn:
-        raise KeyError(number)
-
-    for name in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME", "HOME"):
+    for name in ("VALVE_SIM_CACHE", "XDG_CACHE_HOME", "HOME"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr("pwd.getpwuid", unknown)
     monkeypatch.setenv("TMPDIR", str(tmp_path / "temporary"))
     return tmp_path / "temporary"
 
@@ -209,11 +196,11 @@ def homeless(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_without_a_home_code_is_kept_among_temporary_files_or_where_it_is_told_to_be(
     homeless: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    folder = compiling.cache_folder()
-    assert folder is not None and folder.parent.parent == homeless
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "chosen"))
-    folder = compiling.cache_folder()
-    assert folder is not None and folder.parent == tmp_path / "chosen"
+    folder = machine.folder_in_use()
+    assert folder is not None and folder.parent == homeless
+    monkeypatch.setenv("VALVE_SIM_CACHE", str(tmp_path / "chosen"))
+    folder = machine.folder_in_use()
+    assert folder is not None and folder == tmp_path / "chosen"
 
 
 @pytest.mark.parametrize("home", ["/dev/null", "here", ""])
@@ -223,12 +210,12 @@ def test_a_home_that_cannot_be_written_gives_way_to_temporary_files(
     (tmp_path / "work").mkdir()
     monkeypatch.chdir(tmp_path / "work")
     monkeypatch.setenv("HOME", home)
-    folder = compiling.cache_folder()
-    assert folder is not None and folder.parent.parent == homeless
+    folder = machine.folder_in_use()
+    assert folder is not None and folder.parent == homeless
     assert not list(Path.cwd().iterdir())
 
 
-@pytest.mark.parametrize("name", ["NUMBA_CACHE_DIR", "XDG_CACHE_HOME"])
+@pytest.mark.parametrize("name", ["VALVE_SIM_CACHE", "XDG_CACHE_HOME"])
 @pytest.mark.parametrize("relative", ["cache", ".", "../cache"])
 def test_a_relative_path_is_never_written_to(
     homeless: Path, name: str, relative: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -236,10 +223,10 @@ def test_a_relative_path_is_never_written_to(
     (tmp_path / "work").mkdir()
     monkeypatch.chdir(tmp_path / "work")
     monkeypatch.setenv(name, relative)
-    if name == "NUMBA_CACHE_DIR":
-        assert refused("not an absolute path")
+    if name == "VALVE_SIM_CACHE":
+        assert machine.folder_in_use() is None
     else:
-        folder = compiling.cache_folder()
-        assert folder is not None and folder.parent.parent == homeless
+        folder = machine.folder_in_use()
+        assert folder is not None and folder.parent == homeless
     assert not list(Path.cwd().iterdir())
     assert not (tmp_path / "cache").exists()

@@ -19,7 +19,6 @@ class ProgressLines:
         stream: where lines go.
         wait: waits for the next line; True when the work has ended. Default: `EVERY` seconds.
         clock: s, never going back.
-        doing: what to write in place of what was told, asked when a line is written. Default: what was told.
     """
 
     def __init__(
@@ -27,9 +26,8 @@ class ProgressLines:
         stream: TextIO,
         wait: Callable[[], bool] | None = None,
         clock: Callable[[], float] = time.monotonic,
-        doing: Callable[[str], str] = str,
     ) -> None:
-        self._stream, self._doing, self._clock = stream, doing, clock
+        self._stream, self._clock = stream, clock
         self._ended = threading.Event()
         self._wait = wait or (lambda: self._ended.wait(EVERY))
         self._begun = clock()
@@ -54,5 +52,5 @@ class ProgressLines:
         while not self._wait():
             what, fraction = self._latest
             elapsed = self._clock() - self._begun
-            self._stream.write(f"valve-sim: {elapsed:.0f} s, {100.0 * fraction:.0f} % done: {self._doing(what)}\n")
+            self._stream.write(f"valve-sim: {elapsed:.0f} s, {100.0 * fraction:.0f} % done: {what}\n")
             self._stream.flush()

@@ -1,8 +1,8 @@
 """Compile the model now, so that no first command or node has to: `python -m valve_sim.warm`.
 
 What is compiled is kept in the user's cache folder and found there from then on. `make` runs this; after pip or colcon,
-which run no code of a package, it can be run by hand, or the first use takes the time and says so. `--gas` compiles the
-model with gas as well, which takes as long again and which most never use.
+which run no code of a package, it can be run by hand, or each first use takes a second or two. `--gas` compiles the
+model with gas as well, which most never use.
 """
 
 from __future__ import annotations
@@ -21,14 +21,13 @@ from valve_sim.identification.estimation.noise import Noise
 from valve_sim.identification.plants.protocol import Direction
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import CATALOGUE, Drive, Stepper, Valve, ValveError, simulate, simulate_many
-from valve_sim.model.compiling import COMPILING, announce_compiling
+from valve_sim.model.core.machine import when_compiling
 from valve_sim.model.core.runs import WIDTHS
 from valve_sim.model.gas import GasParameters
 from valve_sim.model.gas.line import Gas, Line
-from valve_sim.model.gas.sensitivities import Tangents, numbers_of, run_tangents
-from valve_sim.model.simulation import TOLERANCE, Samples, new_states
 from valve_sim.traces import Trace
 
+COMPILING: Final = "compiling the model for this machine, once"
 NO_NOISE: Final = Noise(1.0, 1.0, (), 0.0, 0)
 """White, of 1 m: nothing is fitted here."""
 
@@ -39,10 +38,7 @@ def warm() -> None:
     drive = Drive.of([0.0], [valve.parameters.reference_voltage])
     simulate(valve, drive, [0.0, 1e-3])
     simulate_many([valve], drive, [0.0, 1e-3], threads=1)
-    alone = [name for name, effect in CATALOGUE.items() if effect.is_of(has_gas=False)]
-    for effects in ({}, *({name: CATALOGUE[name].neutral_values()} for name in alone)):
-        for width in WIDTHS:
-            replace(valve, effects=effects).plan(width)
+    _warm_plans(valve, has_gas=False)
     stepper = Stepper(valve)
     stepper.command(1e-3, valve.parameters.reference_voltage)
     stepper.set_valve(valve, 2e-3)
@@ -63,29 +59,22 @@ def _warm_fits(valve: Valve, drive: Drive) -> None:
         fewer.sensitivities({}, count * [Direction({"main_damping": 1.0}, 1e-6)])
 
 
-def _warm_derivatives(valve: Valve, drive: Drive) -> None:
-    record, times, none = valve.record(), np.array([0.0, 1e-3]), np.zeros((1, 1))
-    samples = Samples(times, np.empty((2, 1)), times, np.empty(2))
-    nothing_moves = Tangents(np.zeros((1, len(numbers_of(record)))), none, none, np.zeros(1))
-    run_tangents(record, new_states(record, 0.0), drive, samples, nothing_moves, TOLERANCE)
-
-
 def warm_gas() -> None:
-    """Compile what a valve with gas needs: whole runs, a live valve, terms of effects, a line that several fill."""
-    for effect in CATALOGUE.values():
-        effect.compile_ahead()
+    """Compile what a valve with gas needs: with each effect alone, with derivatives, and a line that several fill."""
     sizes = GasParameters(1e7, 1e-5, 2e-4, 3e-3, 4e-3)
-    valve = replace(default_valve().with_values(seat_load=0.3), gas=sizes)
-    drive = Drive.of([0.0], [valve.parameters.reference_voltage])
-    simulate(valve, drive, [0.0, 1e-3])
-    _warm_derivatives(valve, drive)
-    stepper = Stepper(valve)
-    stepper.command(1e-3, valve.parameters.reference_voltage)
-    stepper.supply(1e-3, sizes.inlet_pressure)
-    stepper.set_demand_pressure(1e-3, sizes.demand_pressure)
-    stepper.set_valve(valve, 1e-3)
-    stepper.advance(2e-3)
+    for demand in (0.0, 1e-4):
+        gas = sizes._replace(demand_orifice_diameter=demand)
+        valve = replace(default_valve().with_values(seat_load=0.3), gas=gas)
+        _warm_plans(valve, has_gas=True)
     Line(Gas(), (1e-9,), 1e-9, 1e-6, 1e-6).step((1e-6, 1e-6), (1e6,), 1e-3)
+
+
+def _warm_plans(valve: Valve, *, has_gas: bool) -> None:
+    """The equations of a valve with each effect alone, without derivatives and with them."""
+    alone = [name for name, effect in CATALOGUE.items() if effect.is_of(has_gas=has_gas)]
+    for effects in ({}, *({name: CATALOGUE[name].neutral_values()} for name in alone)):
+        for width in WIDTHS:
+            replace(valve, effects=effects).plan(width)
 
 
 def main() -> int:
@@ -93,7 +82,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Compile the model now, so that no first command or node has to.")
     parser.add_argument("--gas", action="store_true", help="the model with gas as well")
     has_gas = parser.parse_args().gas
-    announce_compiling(lambda: print(COMPILING, flush=True))
+    when_compiling(lambda: print(COMPILING, flush=True))
     try:
         warm()
         if has_gas:

@@ -43,6 +43,11 @@ class Case(NamedTuple):
             return self._replace(drive=Drive(times + by * (np.arange(len(times)) == int(which)), volts))
         if kind == "volts":
             return self._replace(drive=Drive(times, volts + by * (np.arange(len(times)) == int(which))))
+        if kind == "gas":
+            assert valve.gas is not None
+            return self._replace(
+                valve=replace(valve, gas=valve.gas._replace(**{which: getattr(valve.gas, which) + by}))
+            )
         if not which:
             return self._replace(valve=valve.with_values(**{name: valve.declared()[name] + by}))
         changed = {**valve.effects[kind], which: valve.effects[kind][which] + by}
@@ -53,6 +58,8 @@ class Case(NamedTuple):
         kind, _, which = name.partition(".")
         if kind in ("clock", "command", "volts"):
             return 10.0 if kind == "volts" else 1e-3
+        if kind == "gas":
+            return float(getattr(self.valve.gas, which))
         value = self.valve.effects[kind][which] if which else self.valve.declared()[name]
         return max(abs(value), SIZES.get(name, 0.0))
 
@@ -86,7 +93,8 @@ class Case(NamedTuple):
 
     def derivatives(self, names: list[str]) -> tuple[np.ndarray, np.ndarray]:
         """Of positions and of normalised currents, by variational equations."""
-        run = Run(self.valve, 0.0, tolerance=TIGHT, directions=self.directions(names))
+        along = self.directions(names).among(commands_of(self.drive))
+        run = Run(self.valve, 0.0, tolerance=TIGHT, directions=along)
         shown = run.piece(commands_of(self.drive), float(self.times[-1]), self.times, self.times)
         return shown.of_positions, shown.of_currents
 

@@ -8,10 +8,8 @@ import re
 import numpy as np
 import pytest
 
-from valve_sim.model import CATALOGUE, DECLARED, Drive, Effect, Parameter, ParameterError, Stepper, Tag, Valve, simulate
-from valve_sim.model.effects import VALVE_RECORD
+from valve_sim.model import CATALOGUE, Drive, Effect, Parameter, ParameterError, Stepper, Tag, Valve, simulate
 from valve_sim.model.effects.catalogue import Catalogue
-from valve_sim.model.gas.record import GAS_VALVE_RECORD
 
 from .random_valves import RANGES
 
@@ -49,7 +47,8 @@ def test_a_parameter_that_is_not_given_is_neutral(name: str) -> None:
         whole = Valve(
             CALIBRATED.parameters, {name: {**CATALOGUE[name].neutral_values(), parameter.name: parameter.prior_scale}}
         )
-        assert alone.record().tobytes() == whole.record().tobytes()
+        assert alone.numbers().tobytes() == whole.numbers().tobytes()
+        assert alone.plan() is whole.plan()
 
 
 @pytest.mark.parametrize(
@@ -70,17 +69,6 @@ def test_what_a_sensor_shows_does_not_change_the_spring(sensor: dict[str, dict[s
     assert efforts[0] == pytest.approx(efforts[1], rel=0.0, abs=1e-12)
     d = CALIBRATED.parameters
     assert efforts[0][-1] == pytest.approx(-(d.spring_preload + d.spring_rate * d.stroke))
-
-
-def test_the_record_has_what_is_declared_and_what_the_entries_need() -> None:
-    assert VALVE_RECORD.names is not None
-    assert VALVE_RECORD.names[: len(DECLARED)] == tuple(DECLARED)
-    needed = {field for effect in CATALOGUE.values() for field in effect.fields if not effect.with_gas}
-    assert needed < set(VALVE_RECORD.names)
-    of_gas = {field for effect in CATALOGUE.values() for field in effect.fields if effect.with_gas}
-    assert of_gas == {"leak_area", "clogging_ratio"} and not of_gas & set(VALVE_RECORD.names)
-    assert GAS_VALVE_RECORD.names is not None
-    assert of_gas < set(GAS_VALVE_RECORD.names)
 
 
 def test_look_alikes_are_declared_once_and_mutual() -> None:
@@ -204,8 +192,6 @@ def test_a_users_effect_needs_no_words_for_people() -> None:
     [
         (Effect("coil_lag", "s", (), "t", term=math.hypot), ("coil_lag", "registered already")),
         (Effect("idle", "s", (), "t"), ("idle", "has no expression")),
-        (Effect("new", "s", (), "t", term=math.hypot, fields={"inertia": 0.0}), ("new", "only ship", "expressions")),
-        (Effect("rewritten", "s", (), "t", rewrite=print), ("rewritten", "has no expression")),
     ],
 )
 def test_an_effect_that_cannot_take_part_is_refused(effect: Effect, words: tuple[str, ...]) -> None:

@@ -48,8 +48,8 @@ def with_effects(valve: Valve, **effects: dict[str, float]) -> Valve:
 
 
 def normalised(valve: Valve, response: Response) -> np.ndarray:
-    record = valve.record()[0]
-    return np.asarray(response.coil_current * float(record["coil_resistance"] / record["reference_voltage"]))
+    resistance, voltage = valve.after_effects("coil_resistance", "reference_voltage")
+    return np.asarray(response.coil_current * resistance / voltage)
 
 
 def balanced(seed: int) -> bool:

@@ -1,27 +1,10 @@
-"""Memory of the compiled core: what a run still uses is not freed, and no record passes for another."""
+"""Memory of the compiled core: what a run still uses is not freed."""
 
 from __future__ import annotations
 
-import itertools
 import os
 import subprocess
 import sys
-from typing import Any
-
-import pytest
-from numba.core.registry import cpu_target
-from numba.np.numpy_support import from_dtype
-
-from valve_sim.model.core_types import STATE_RECORD
-from valve_sim.model.effects.record import VALVE_RECORD
-from valve_sim.model.gas.record import GAS_STATE_RECORD, GAS_VALVE_RECORD
-
-RECORDS = {
-    "valve": VALVE_RECORD,
-    "valve with gas": GAS_VALVE_RECORD,
-    "state": STATE_RECORD,
-    "state with gas": GAS_STATE_RECORD,
-}
 
 RUNS_IN_THREADS = """
 from concurrent.futures import ThreadPoolExecutor
@@ -49,9 +32,3 @@ def test_runs_in_threads_that_share_one_heap_keep_what_they_use() -> None:
         check=False,
     )  # fmt: skip
     assert (run.returncode, run.stdout.strip()) == (0, "1"), run.stderr
-
-
-@pytest.mark.parametrize(("given", "compiled_for"), list(itertools.permutations(RECORDS, 2)))
-def test_code_compiled_for_one_record_is_not_given_another(given: str, compiled_for: str) -> None:
-    types: list[Any] = [from_dtype(RECORDS[name]) for name in (given, compiled_for)]
-    assert cpu_target.typing_context.can_convert(*types) is None

@@ -138,17 +138,6 @@ def test_it_ends_when_the_recording_is_played_and_the_result_is_known(samples: P
     assert "Traceback" not in said
 
 
-@pytest.mark.any_distribution
-def test_it_says_when_its_model_has_to_be_compiled(probe: Probe, tmp_path: Path) -> None:
-    empty = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
-    arguments = ["--ros-args", "-p", f"bag:={FRICTION}", "-p", f"output:={tmp_path}"]
-    with running(tmp_path, arguments, "identification_node", **empty) as process:
-        try:
-            assert probe.until(lambda: "compiling the model" in process.output)
-        finally:
-            process.process.kill()
-
-
 def test_a_node_that_is_not_there_is_said_not_to_have_taken_the_result(
     samples: Path, probe: Probe, tmp_path: Path
 ) -> None:

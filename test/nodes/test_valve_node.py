@@ -23,7 +23,7 @@ from valve_sim.records.calibration import load_changes, save_record
 from valve_sim.traces import BagRecorder, events_from_sensors, read_trace
 
 from .dumps import TOLERATED, dump, plain_values
-from .ros_process import ENDS_WITHIN, NodeProcess, Probe, running
+from .ros_process import NodeProcess, Probe, running
 from .test_calibration_watch import signed
 
 pytestmark = pytest.mark.ros
@@ -479,20 +479,6 @@ def seconds_to_end(tmp_path: Path, number: signal.Signals) -> float:
     finally:
         ending.close()
     return seconds
-
-
-@pytest.mark.any_distribution
-def test_a_signal_ends_it_while_the_model_of_a_valve_with_gas_is_compiled(ros: None, tmp_path: Path) -> None:
-    cache, gas = tmp_path / "cache", ["--ros-args", "--params-file", str(config_path("gas_tank_1.yaml"))]
-    with running(tmp_path, gas, NUMBA_CACHE_DIR=str(cache)) as process:
-        ears = Probe()
-        assert ears.until(lambda: "compiling the model" in process.output)
-        ears.close()
-        assert "ready: " not in process.output
-        process.process.send_signal(signal.SIGINT)
-        assert process.process.wait(ENDS_WITHIN) == 0, process.output
-        assert "valve_node: ended in the middle of a calculation" in process.output
-        assert "Traceback" not in process.output
 
 
 def test_the_published_valve_is_said_not_to_open_and_logs_go_elsewhere(ros: None, tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from valve_sim.cli.options import (
     valve_option,
 )
 from valve_sim.cli.own_plant import chosen_params, diagnose_own, is_own
-from valve_sim.cli.printing import print_report, progress_bar, provenance, say_when_compiling
+from valve_sim.cli.printing import print_report, progress_bar, provenance
 from valve_sim.cli.reading import declared_valve, read_recordings
 from valve_sim.files.ledger import plan_files
 
@@ -120,7 +120,6 @@ def _diagnose_events(events: Path, output: Path, as_json: bool) -> None:
     from valve_sim.identification.reporting.event_report import event_json, event_text
 
     table = read_event_table(events)
-    say_when_compiling()
     with progress_bar() as progress:
         found = diagnose_events(table, progress)
     written = write_event_report(found, output)

@@ -12,7 +12,7 @@ import click
 from valve_sim.cli.cluster import chosen_cluster, cluster_options, refuse_without_fleet
 from valve_sim.cli.command_line import Command
 from valve_sim.cli.options import FILE, finite_number, json_option, params_option
-from valve_sim.cli.printing import print_report, progress_bar, refuse, say_when_compiling
+from valve_sim.cli.printing import print_report, progress_bar, refuse
 from valve_sim.files.json_text import finite_or_none
 
 if TYPE_CHECKING:
@@ -119,7 +119,6 @@ def _examined(
     from valve_sim.warm import warm
 
     plan_files(output / TABLE, output / PAGE)
-    say_when_compiling()
     with progress_bar() as progress, Cluster(*cluster, before=warm) as started:
         return examine_with(started.client, sources, output, chosen, options, progress)
 

@@ -16,40 +16,19 @@ from valve_sim.files.json_text import json_text
 Progress = Callable[[str, float], None]
 
 
-def say_when_compiling() -> None:
-    """Say on stderr that the model is compiled, when it is: the first use after an installation is slow."""
-    from valve_sim.model.compiling import COMPILING, announce_compiling
-
-    announce_compiling(lambda: click.echo(f"valve-sim: {COMPILING}", err=True))
-
-
-def doing(what: str) -> str:
-    """What a command is at: compiling, where it is, for that may take longer than all else."""
-    from valve_sim.model.compiling import is_compiling
-
-    return "compiling the model" if is_compiling() else what
-
-
 @contextmanager
 def progress_bar() -> Iterator[Progress]:
     """A bar on stderr while that is a terminal; a line every ten seconds elsewhere."""
     if not sys.stderr.isatty():
         from valve_sim.progress_lines import ProgressLines
 
-        with ProgressLines(sys.stderr, doing=doing) as lines:
+        with ProgressLines(sys.stderr) as lines:
             yield lines
         return
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, ProgressColumn, Task, TimeElapsedColumn
-    from rich.text import Text
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    class Doing(ProgressColumn):
-        """What is being done, asked each time it is drawn."""
-
-        def render(self, task: Task) -> Text:
-            return Text(doing(task.description))
-
-    columns = (Doing(), BarColumn(), TimeElapsedColumn())
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("starting", total=1.0)
         yield lambda what, fraction: bar.update(task, description=what, completed=fraction)

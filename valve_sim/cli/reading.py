@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from valve_sim.cli.options import MAP_KEY
-from valve_sim.cli.printing import say_when_compiling, shown
+from valve_sim.cli.printing import shown
 
 if TYPE_CHECKING:
     from valve_sim.files.recording_map import RecordingMap
@@ -22,7 +22,6 @@ def declared_valve(params: Path | None) -> Valve:
     """The valve of a parameter file, or the shipped one."""
     from valve_sim.files.parameter_files import default_valve, load_valve
 
-    say_when_compiling()
     return default_valve() if params is None else load_valve(params)
 
 

@@ -6,7 +6,7 @@ After each the command is 0: the coil is then shorted, or with `valve.release_vo
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -38,6 +38,48 @@ class Drive(NamedTuple):
         """The voltage in force at each time (a command acts from its own time on), V."""
         index = np.searchsorted(self.times, np.asarray(times, dtype=np.float64), side="right")
         return np.concatenate([[0.0], self.volts])[index]
+
+
+_NO_SAMPLES: Final = np.empty(0)
+
+
+class Supply(NamedTuple):
+    """The pressures at both ends of a valve with gas. Where there are no samples the declared one holds.
+
+    The tank's is linear between its samples, as a tank empties; that of the demand holds until its next sample, as
+    valve_node holds it. Before its first sample each is as it is there.
+
+    Attributes:
+        times: (k,) s, ascending. pressures: (k,) Pa, above 0: the tank's.
+        demand_times: (m,) s, ascending. demand_pressures: (m,) Pa, above 0: behind the demand's orifice.
+    """
+
+    times: Array
+    pressures: Array
+    demand_times: Array = _NO_SAMPLES
+    demand_pressures: Array = _NO_SAMPLES
+
+    def changes(self, start: float) -> Array:
+        """(n, 4) s, Pa of the tank, Pa/s at which it goes on, Pa behind the demand, NaN where that does not change.
+
+        What holds at the start, s, stands at −∞.
+        """
+        rows = []
+        if len(self.times):
+            rates = np.append(np.diff(self.pressures) / np.diff(self.times), 0.0)
+            index = int(np.searchsorted(self.times, start, side="right")) - 1
+            first = float(np.interp(start, self.times, self.pressures)), float(rates[index]) if index >= 0 else 0.0
+            rows.append(np.array([[-math.inf, *first, math.nan]]))
+            later = self.times > start
+            nothing = np.full(np.count_nonzero(later), math.nan)
+            rows.append(np.column_stack([self.times[later], self.pressures[later], rates[later], nothing]))
+        if len(self.demand_times):
+            index = int(np.searchsorted(self.demand_times, start, side="right")) - 1
+            rows.append(np.array([[-math.inf, math.nan, math.nan, float(self.demand_pressures[max(index, 0)])]]))
+            later = self.demand_times > start
+            nothing = np.full((np.count_nonzero(later), 2), math.nan)
+            rows.append(np.column_stack([self.demand_times[later], nothing, self.demand_pressures[later]]))
+        return np.concatenate([np.empty((0, 4)), *rows])
 
 
 def step(volts: float, start: float = 0.0, end: float = math.inf) -> Drive:

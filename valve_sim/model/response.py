@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.model.core_types import EVENT_RECORD, EventKind
+from valve_sim.model.core_types import EventKind
 
 Array = NDArray[np.float64]
 
@@ -66,13 +66,3 @@ def published_times(response: Response) -> tuple[float, float]:
     t1 = response.first(EventKind.UNSEATED if response.has_one_plunger else EventKind.PICKED_UP, EventKind.HELD_AT_GAP)
     t2 = response.first(EventKind.REACHED_STOP, EventKind.BOUNCED_AT_STOP)
     return t1, t2
-
-
-def event_log(room: int = EVENT_ROOM) -> Any:
-    """An empty (room,) EVENT_RECORD array."""
-    return np.zeros(room, EVENT_RECORD)
-
-
-def event_tuple(events: Any, count: int) -> tuple[Event, ...]:
-    """The first events of a log."""
-    return tuple(Event(time, _KINDS[kind], x, v) for time, kind, x, v in events[:count].tolist())

@@ -6,32 +6,16 @@ import copy
 import math
 from collections import deque
 from collections.abc import Callable
-from typing import Any, Final, NamedTuple, TypeAlias
-
-import numpy as np
-from numba import boolean, float64, typeof
+from typing import Final, NamedTuple
 
 from valve_sim.model.core.live import Live
 from valve_sim.model.core_types import Phase
 from valve_sim.model.errors import SimulationError
-from valve_sim.model.gas.boundary import keep_pressure, set_demand, set_inlet
-from valve_sim.model.gas.live_record import new_live, step_live
-from valve_sim.model.gas.transitions import set_voltage, settle
-from valve_sim.model.response import EVENT_ROOM, Event, event_tuple
-from valve_sim.model.simulation import (
-    TOLERANCE,
-    Array,
-    Valve,
-    check_flux,
-    check_outcome,
-    new_states,
-    rated_current,
-)
+from valve_sim.model.response import Event
+from valve_sim.model.simulation import TOLERANCE, Valve, check_flux
 
 _PHASES: Final = tuple(Phase)
 _MAIN: Final = Phase.MAIN
-Setter = Callable[[Any, Any, float], None]
-"""Changes a valve's state at its time, given its record and a value."""
 
 
 class CoilReading(NamedTuple):
@@ -73,78 +57,7 @@ def reading_at_rest(valve: Valve, time: float) -> Reading | None:
     return Reading(time, *(0.0,) * 7, Phase.CLOSED, (), 0.0)
 
 
-class _GasLive:
-    """A valve with gas that is stepped, and views of what is read of it: to look up a field takes longer than to read.
-
-    Args:
-        record: (1,) of the valve. state: (1,) of its state. tolerance: relative error of one step.
-    """
-
-    def __init__(self, record: Any, state: Any, tolerance: float) -> None:
-        self.whole = live = new_live(record, state, tolerance)
-        self.valve, self.state = live["valve"], live["state"]
-        self._time = self.state["time"]
-        self._rated = rated_current(record)
-        self._current, self._row = live["current"][0], live["row"][0, 0]
-        self._events = live["events"][0]
-        self.call: Any = None
-
-    @property
-    def reached(self) -> float:
-        """The time of the state, s."""
-        return float(self._time.item())
-
-    @property
-    def delay(self) -> float:
-        """Delay of the position sensor, s."""
-        return float(self.valve["sensor_delay"].item())
-
-    @property
-    def row(self) -> Array:
-        """What was read last, as `core.driver.ROW_COLUMNS` says, then outlet pressure, Pa, and mass flow, kg/s."""
-        current = self._current.item()
-        return np.array([*self._row[:7].tolist(), current, current * self._rated, *self._row[7:].tolist()])
-
-    def step(self, time: float, *, commit: bool) -> tuple[Event, ...]:
-        """Step to a time, s; the events on the way, mostly none."""
-        if self.call is None:
-            # Only now, for the model may still have to be compiled. Numba's own choice among what it compiled of
-            # a function takes longer than a step.
-            types = (typeof(self.whole), float64, boolean)
-            self.call = step_live.compile(types)
-        count, outcome, _ = self.call(self.whole, time, commit)
-        if outcome:
-            check_outcome(outcome)
-        return event_tuple(self._events, min(count, EVENT_ROOM)) if count else ()
-
-    def command(self, volts: float) -> None:
-        """A voltage in force from the state's time on; reads the valve there."""
-        set_voltage(self.valve, self.state, volts)
-
-    def as_valve(self, valve: Valve, tolerance: float) -> _GasLive:
-        """This state, stepped on as another valve with gas."""
-        record = valve.record()
-        set_voltage(self.valve, self.state, self.state["volts"].item())  # the current so far belongs to the old coil
-        state = _state_of(record, self.state, self.valve)
-        settle(record, state)
-        return _GasLive(record, state, tolerance)
-
-    def copy(self) -> _GasLive:
-        """A copy of this valve in this state, which is then stepped independently."""
-        return _GasLive(self.valve, self.state, self.whole["tolerance"].item())
-
-
-_Live: TypeAlias = Live | _GasLive
-
-
-def _at_rest(valve: Valve, time: float, tolerance: float) -> _Live:
-    if valve.gas is None:
-        return Live.at_rest(valve, time, tolerance)
-    record = valve.record()
-    return _GasLive(record, new_states(record, time), tolerance)
-
-
-_Change = Callable[[_Live], _Live]
+_Change = Callable[[Live], Live]
 """Changes a valve that is stepped, at the time of its state; returns what is stepped from there on."""
 
 
@@ -176,7 +89,7 @@ class Stepper:
 
     def reset(self, time: float) -> None:
         """Rest closed and without current at `time`, s."""
-        self._live: _Live = _at_rest(self._valve, time, self._tolerance)
+        self._live = Live.at_rest(self._valve, time, self._tolerance)
         self._delay = 0.0
         self._become(self._valve, time)
         self._volts = 0.0
@@ -197,7 +110,7 @@ class Stepper:
         time = self._commit(time)
         before = self._coil(time)
 
-        def change(live: _Live) -> _Live:
+        def change(live: Live) -> Live:
             live.command(volts)
             return live
 
@@ -208,11 +121,11 @@ class Stepper:
 
     def supply(self, time: float, pressure: float) -> None:
         """The tank's pressure, Pa, from `time` on, likewise; of a valve with gas."""
-        self._set(self._commit(time), _set_inlet, pressure)
+        self._supply(time, tank=pressure)
 
     def set_demand_pressure(self, time: float, pressure: float) -> None:
         """The pressure behind the demand's orifice, Pa, from `time` on, likewise; of a valve with gas."""
-        self._set(self._commit(time), set_demand, pressure)
+        self._supply(time, demand=pressure)
 
     def _commit(self, time: float) -> float:
         """Step exactly to a time, or to the latest time stepped to; returns which, s."""
@@ -220,13 +133,12 @@ class Stepper:
         self._pending += self._live.step(time, commit=True)
         return time
 
-    def _set(self, time: float, setter: Setter, value: float) -> None:
-        def change(live: _Live) -> _Live:
-            assert isinstance(live, _GasLive)
-            setter(live.valve, live.state, value)
+    def _supply(self, time: float, **pressures: float) -> None:
+        def change(live: Live) -> Live:
+            live.supply(**pressures)
             return live
 
-        self._change(time, change)
+        self._change(self._commit(time), change)
 
     def _change(self, time: float, change: _Change) -> None:
         """Change the valve, which has been stepped to this time, s; a late sensor shows it later."""
@@ -298,27 +210,3 @@ class Stepper:
             self._late = change(self._late)
         self._late.step(time, commit=False)
         return float(self._late.row[0]), float(self._late.row[1])
-
-
-def _set_inlet(record: Any, state: Any, pressure: float) -> None:
-    set_inlet(record, state, pressure, 0.0)
-
-
-def _state_of(record: Any, state: Any, before: Any) -> Any:
-    """A state with what another record of a valve with gas asks for.
-
-    Args:
-        record: of the other valve; where it declares another pressure than before, that one counts from now on.
-        state: of the valve so far, changed. before: its record.
-    """
-    was, will_be = before[0], record[0]
-    if not was["sensor_time_constant"]:
-        state["shown_pilot"] = state["x"]
-        state["shown_main"] = state["x"] - was["pilot_gap"] if state["mode"] >= _MAIN else 0.0
-    if not will_be["temperature_rate"]:
-        state["temperature"] = 0.0
-    keep_pressure(record, state, before)
-    for name, setter in (("inlet_pressure", _set_inlet), ("demand_pressure", set_demand)):
-        if will_be[name] != was[name]:
-            setter(record, state, float(will_be[name]))
-    return state

@@ -17,7 +17,6 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from valve_sim.files.parameter_sections import Section
 from valve_sim.model import ParameterError, Valve
-from valve_sim.model.compiling import COMPILING, announce_compiling
 from valve_sim.nodes.calibration_watch import CalibrationWatch
 from valve_sim.nodes.diagnostics import Status
 from valve_sim.nodes.messages import diagnostic_array
@@ -34,21 +33,16 @@ Check = Callable[[Mapping[str, object], Mapping[str, str]], Any]
 def make_node(name: str) -> Node:
     """A node that has declared all parameters that it was given, known or not, with the type that they have.
 
-    It says when its model has to be compiled, for until then it does nothing of what it is asked.
-
     Raises:
         ParameterError: something was given without a value.
     """
     try:
-        node = Node(name, automatically_declare_parameters_from_overrides=True)
+        return Node(name, automatically_declare_parameters_from_overrides=True)
     except ValueError as error:
         raise ParameterError(
             "a parameter file or the command line gives a name without a value, such as effects: {} or free:=[] "
             f"({error}); take it out"
         ) from error
-    logger = node.get_logger()
-    announce_compiling(lambda: logger.info(f"{COMPILING}; what comes meanwhile waits"))
-    return node
 
 
 def declared(

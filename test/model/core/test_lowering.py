@@ -12,12 +12,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from valve_sim.model.core import driver, layout
-from valve_sim.model.core.driver import Block
+from valve_sim.model.core import driver, layout, polynomials
 from valve_sim.model.core.lowering import lowered
 from valve_sim.model.core.machine import Library, compiled
+from valve_sim.model.core.polynomials import Block
 
 NUMBER = 3
+TABLE = (0.25, 1.5, -2.0)
 HALF = 0.5
 
 
@@ -38,6 +39,7 @@ def of_all_kinds(b: Block, n: int, x: float) -> float:
     tail[0] = max(total, x, 1.0) + min(i, n)
     is_near = -1.0 < total <= 1.0
     total += float(int(x)) + math.sqrt(abs(x)) + math.exp(-abs(x)) + math.expm1(x / 100.0) + math.floor(x)
+    total += TABLE[n % 3]
     if is_near or i in (7, 8):
         return total
     return total + twice(tail) if i not in (1, 5) else 0.0
@@ -52,8 +54,7 @@ CALLABLE = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_void_p, ctypes.c_int64, ct
 
 @pytest.fixture(scope="module")
 def library() -> Library:
-    polynomials = (driver.value_at, driver.slope_at, driver.bound, driver.first_fall, driver.shift, driver.root)
-    functions = [of_all_kinds, twice, *polynomials, driver.lag_moments]
+    functions = [of_all_kinds, twice, *polynomials.FUNCTIONS, driver.lag_moments]
     return Library(compiled(lowered(functions, ["of_all_kinds", "first_fall", "lag_moments"])))
 
 

@@ -7,8 +7,12 @@ import itertools
 import numpy as np
 import pytest
 
-from valve_sim.model.gas.step import DENSE, DIAGONAL, EMBEDDED, EXPLICIT, IMPLICIT, STAGES, TIMES, WEIGHTS
+from valve_sim.model.core import gas_steps
+from valve_sim.model.core.gas_steps import DIAGONAL
+from valve_sim.model.core.layout import STAGES
 
+TIMES, WEIGHTS, EMBEDDED = (np.array(table) for table in (gas_steps.TIMES, gas_steps.WEIGHTS, gas_steps.EMBEDDED))
+EXPLICIT, IMPLICIT = (np.reshape(table, (STAGES, STAGES - 1)) for table in (gas_steps.EXPLICIT, gas_steps.IMPLICIT))
 TABLEAUS = {
     "explicit": np.hstack([EXPLICIT, np.zeros((STAGES, 1))]),
     "implicit": np.hstack([IMPLICIT, np.zeros((STAGES, 1))]) + np.diag([0.0, *[DIAGONAL] * (STAGES - 1)]),
@@ -42,13 +46,3 @@ def test_the_implicit_part_forgets_what_is_infinitely_stiff() -> None:
     np.testing.assert_allclose(implicit[-1], WEIGHTS, atol=1e-15)
     passed_on = np.linalg.solve(implicit[1:, 1:], -implicit[1:, 0])
     assert abs(passed_on[-1]) < 1e-12
-
-
-@pytest.mark.parametrize("theta", [0.25, 0.5, 1.0])
-def test_dense_output_is_of_order_3_and_ends_at_the_end(theta: float) -> None:
-    weights = DENSE @ theta ** np.arange(1, 4)
-    if theta == 1.0:
-        np.testing.assert_allclose(weights, WEIGHTS, atol=1e-12)
-    np.testing.assert_allclose([weights @ TIMES**k for k in range(3)], [theta, theta**2 / 2, theta**3 / 3], atol=1e-12)
-    for tableau in TABLEAUS.values():
-        assert weights @ tableau @ TIMES == pytest.approx(theta**3 / 6, abs=1e-12)

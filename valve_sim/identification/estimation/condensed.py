@@ -17,7 +17,7 @@ import functools
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +37,9 @@ from valve_sim.identification.plants.protocol import (
     varying_of,
 )
 from valve_sim.model import SimulationError
-from valve_sim.model.compiling import compiled
+from valve_sim.model.core.machine import made_once
+from valve_sim.model.core.native import native
+from valve_sim.model.core.polynomials import Block
 
 FIRST_BLOCKS: Final = (3, 3, 3, 5, 5, 7, 9, 11, 13)
 """Samples in the blocks with which a still stretch begins; odd, so that one sample is in the middle."""
@@ -206,7 +208,14 @@ class Condensed:
         start = 0
         for of_channel, layout, coefficients in zip(columns, self._layouts, self._coefficients, strict=True):
             own = found[start : start + len(layout.at)]
-            _combine(own, of_channel, layout.at, layout.lags, layout.scale, coefficients)
+            given = np.ascontiguousarray(of_channel)
+            at, lags, scale = (
+                np.ascontiguousarray(column, dtype=np.float64) for column in (layout.at, layout.lags, layout.scale)
+            )
+            numbers = (at, lags, scale, coefficients)
+            _combine()(
+                own.ctypes.data, given.ctypes.data, *own.shape, *(column.ctypes.data for column in numbers)
+            )  # fmt: skip
             start += len(own)
         return found
 
@@ -324,16 +333,27 @@ def _still(channel: Channel, sigma: float) -> list[tuple[int, int, int]]:
     return found
 
 
-@compiled
-def _combine(found, columns, at, lags, scale, coefficients):  # type: ignore[no-untyped-def]
-    """Whiten and weight (m, k) columns of samples: (r, k) rows."""
-    rows, count = found.shape
+def combine(
+    found: Block, columns: Block, rows: int, count: int, at: Block, lags: Block, scale: Block, coefficients: Block
+) -> None:  # fmt: skip
+    """Whiten and weight columns of `count` numbers a sample: (rows, count)."""
     for row in range(rows):
-        place = at[row]
+        out = found[row * count :]
+        place = int(at[row])
+        own = columns[place * count :]
         for column in range(count):
-            found[row, column] = columns[place, column]
-        for lag in range(1, lags[row] + 1):
+            out[column] = own[column]
+        most = int(lags[row])
+        for lag in range(1, most + 1):
+            before = columns[(place - lag) * count :]
+            coefficient = coefficients[lag - 1]
             for column in range(count):
-                found[row, column] -= coefficients[lag - 1] * columns[place - lag, column]
+                out[column] -= coefficient * before[column]
+        factor = scale[row]
         for column in range(count):
-            found[row, column] *= scale[row]
+            out[column] *= factor
+
+
+@made_once
+def _combine() -> Any:
+    return native(combine)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.polynomial.legendre import legvander
@@ -14,7 +14,9 @@ from scipy.linalg.blas import dtbsv
 
 from valve_sim.identification.estimation.errors import hum
 from valve_sim.identification.plants.protocol import Channel
-from valve_sim.model.compiling import compiled
+from valve_sim.model.core.machine import made_once
+from valve_sim.model.core.native import native
+from valve_sim.model.core.polynomials import Block
 from valve_sim.signals.long_columns import places_in, repeated_levels
 
 Array = NDArray[np.float64]
@@ -82,7 +84,15 @@ class Noise:
 
     def whiten_into(self, found: Array, columns: Array, weight: Array) -> None:
         """Whiten every column, weighted: (n, k), (n,) → `found`, (n, k), at once, because they are large."""
-        _whiten(found, columns, np.array(self.coefficients, dtype=np.float64), weight / self.innovation)
+        made, given = found if found.flags.c_contiguous else np.empty(found.shape), np.ascontiguousarray(columns)
+        coefficients = np.array(self.coefficients, dtype=np.float64)
+        scale = np.ascontiguousarray(weight / self.innovation)
+        _whiten()(
+            made.ctypes.data, given.ctypes.data, *given.shape, coefficients.ctypes.data, len(coefficients),
+            scale.ctypes.data,
+        )  # fmt: skip
+        if made is not found:
+            found[...] = made
 
     @property
     def is_coarse(self) -> bool:
@@ -90,18 +100,28 @@ class Noise:
         return self.step > COARSE * self.sigma
 
 
-@compiled
-def _whiten(found, columns, coefficients, scale):  # type: ignore[no-untyped-def]
-    """Filter (n, k) columns by an autoregression of p coefficients, and scale rows by (n,)."""
-    rows, count = columns.shape
+def whiten(
+    found: Block, columns: Block, rows: int, count: int, coefficients: Block, lags: int, scale: Block
+) -> None:  # fmt: skip
+    """Filter (rows, count) columns by an autoregression of so many coefficients, and scale rows."""
     for row in range(rows):
+        out = found[row * count :]
+        own = columns[row * count :]
         for column in range(count):
-            found[row, column] = columns[row, column]
-        for lag in range(1, min(row, len(coefficients)) + 1):
+            out[column] = own[column]
+        for lag in range(1, min(row, lags) + 1):
+            before = columns[(row - lag) * count :]
+            coefficient = coefficients[lag - 1]
             for column in range(count):
-                found[row, column] -= coefficients[lag - 1] * columns[row - lag, column]
+                out[column] -= coefficient * before[column]
+        factor = scale[row]
         for column in range(count):
-            found[row, column] *= scale[row]
+            out[column] *= factor
+
+
+@made_once
+def _whiten() -> Any:
+    return native(whiten)
 
 
 class Window(NamedTuple):

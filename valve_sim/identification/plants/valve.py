@@ -260,9 +260,9 @@ class ValvePlant:
         Raises:
             SimulationError: the simulation could not be carried to its end.
         """
-        record = self._model.simulated(values)
+        valve = self._model.simulated(values)
         return {
-            index: followed(record, trace, drive_with(trace, index, values, self.valve), lateness_with(index, values))
+            index: followed(valve, trace, drive_with(trace, index, values, self.valve), lateness_with(index, values))
             for index, trace in enumerate(self.traces)
             if not trace.has_positions
         }
@@ -327,7 +327,7 @@ class ValvePlant:
             SimulationError: the simulation could not be carried to its end.
         """
         found: dict[int, Sensor] = {}
-        record, own_sheet = self._model.simulated(values), self.valve.tolerances.sensor
+        valve, own_sheet = self._model.simulated(values), self.valve.tolerances.sensor
         shares = {"scale": own_sheet.gain, "bend": own_sheet.linearity}
         if self._is_watched:
             shares = dict.fromkeys(shares, 0.0)
@@ -337,7 +337,7 @@ class ValvePlant:
             drive, late = drive_with(trace, index, values, self.valve), lateness_with(index, values)
             own = next(iter(self._channels_of(index)))
             is_calm = self._is_watched or self.valve.gas is not None
-            meet = NO_CONTACTS if is_calm else contacts(record, trace, drive, late)
+            meet = NO_CONTACTS if is_calm else contacts(valve, trace, drive, late)
             alike = next(iter(found), own) if self._is_watched else None
             # A stroke is two intervals, whenever its recording begins.
             knots = trace.drive.times[1:2] if self._is_watched else trace.drive.times
@@ -350,16 +350,16 @@ class ValvePlant:
         Raises:
             SimulationError: the simulation could not be carried to its end.
         """
-        record = self._model.simulated(values)
+        valve = self._model.simulated(values)
         shown: list[Array] = []
         for index, trace in enumerate(self.traces):
             drive, late = drive_with(trace, index, values, self.valve), lateness_with(index, values)
             factors = self._factors[index].of(values)
             if factors is None:
-                position, *others = predicted(record, trace, drive, late)
+                position, *others = predicted(valve, trace, drive, late)
             else:
-                run = whole_run(run_in_pieces(record, trace, drive, late, intervals=Intervals(factors)))
-                position, others = run.positions, amperes(record, trace, run.currents)
+                run = whole_run(run_in_pieces(valve, trace, drive, late, intervals=Intervals(factors)))
+                position, others = run.positions, amperes(valve, trace, run.currents)
             positions = [averaged(trace, position) + zero_with(index, values)] if trace.has_positions else []
             shown.extend([*positions, *others])
         return shown

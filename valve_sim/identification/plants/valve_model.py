@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Final
+from typing import Final
 
 from valve_sim.identification.plants.protocol import Array, EffectChoice, Nuisance
 from valve_sim.identification.plants.tolerances import ToleratedValues, of_gas
 from valve_sim.model import CATALOGUE, DECLARED, Parameter, Valve, ValveParameters
 from valve_sim.model.gas import GAS, GasParameters
-from valve_sim.model.gas.record import record_of
 from valve_sim.model.parameters import POLYNOMIAL_NAMES
 from valve_sim.model.simulation import OF_TWO_PLUNGERS
 
@@ -111,8 +110,8 @@ class ValveModel:
         """Whether a freed value is one of the valve's numbers, and changes no other."""
         return self._tolerated.is_plain(name)
 
-    def simulated(self, values: Mapping[str, float]) -> Any:
-        """What is simulated where freed values describe the valve: a `Valve`, or with gas a (1,) GAS_VALVE_RECORD.
+    def simulated(self, values: Mapping[str, float]) -> Valve:
+        """The valve that is simulated where freed values describe it.
 
         Nothing is checked, and parameters of effects that are not given are neutral.
         """
@@ -124,10 +123,9 @@ class ValveModel:
                 declared[name] = value
             elif dot and name not in self._gas:
                 effects.setdefault(effect, {})[parameter] = value
-        if self.valve.gas is not None:
-            return record_of(declared, effects, self._gas_with(values))
         polynomial = tuple(declared.pop(name) for name in POLYNOMIAL_NAMES)
-        return Valve(ValveParameters(**declared, attraction_polynomial=polynomial), effects)  # type: ignore[arg-type]
+        parameters = ValveParameters(**declared, attraction_polynomial=polynomial)  # type: ignore[arg-type] # by name
+        return Valve(parameters, effects, gas=self._gas_with(values))
 
 
 def declared_effect(name: str, values: Mapping[str, float]) -> EffectChoice:

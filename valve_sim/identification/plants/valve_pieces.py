@@ -15,10 +15,9 @@ import numpy as np
 
 from valve_sim.identification.plants.interval_factors import places_of_fields
 from valve_sim.identification.plants.protocol import Array
-from valve_sim.identification.plants.valve_sensors import NO_TIMES, run_from_rest
+from valve_sim.identification.plants.valve_sensors import NO_TIMES, recorded, run_from_rest
 from valve_sim.model import Drive, Valve
 from valve_sim.model.core.runs import Directions, Shown
-from valve_sim.model.core.simulation import commands_of
 from valve_sim.traces import Trace
 
 SAMPLES: Final = 8192
@@ -148,8 +147,8 @@ def run_in_pieces(
             moved = intervals.moved(own, places, 0)
             assert moved is not None
             directions = replace(directions, numbers=moved)
-    run = run_from_rest(valve, trace, drive, offset, directions, numbers)
-    commands = commands_of(drive)
+    of = recorded(valve, trace, drive, offset)
+    run, commands = run_from_rest(of, directions, numbers), of.commands
     (delay,) = valve.after_effects("sensor_delay")
     for cut in cuts(trace.times, current_times, drive, (offset, delay), ends):
         if intervals is not None and cut.commands.start:

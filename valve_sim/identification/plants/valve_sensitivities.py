@@ -1,6 +1,6 @@
 """Derivatives of what the sensors of a recorded valve show, by the model's variational equations.
 
-What a run is made of (the valve's record, commands, clocks) follows from the values by simple rules, so that a
+What a run is made of (the valve's numbers, commands, clocks) follows from the values by simple rules, so that a
 difference quotient of these rules is exact to seven digits and costs no simulation; what the valve makes of it is the
 model's to differentiate.
 """
@@ -8,8 +8,7 @@ model's to differentiate.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,26 +18,10 @@ from valve_sim.identification.plants.protocol import Array, Direction, Piece, Se
 from valve_sim.identification.plants.recording_errors import drive_with, is_of_recording, lateness_with, zero_with
 from valve_sim.identification.plants.valve_model import ValveModel
 from valve_sim.identification.plants.valve_pieces import Intervals, WholeRun, run_in_pieces, whole_run
-from valve_sim.identification.plants.valve_sensors import (
-    GAS_TOLERANCE,
-    amperes,
-    averaged,
-    prepared,
-    prepared_with_pressure,
-    rated_current_of,
-    shown_by,
-    supply_of,
-)
+from valve_sim.identification.plants.valve_sensors import amperes, averaged, rated_current_of, shown_by
 from valve_sim.model import CATALOGUE, Drive, Valve
+from valve_sim.model.core.gas import PREFIX
 from valve_sim.model.core.runs import Directions, Shown
-from valve_sim.model.gas.sensitivities import (
-    PRESSURES_AT,
-    Tangents,
-    has_sensitivities,
-    numbers_of,
-    rated_slopes,
-    run_tangents,
-)
 from valve_sim.traces import Trace
 
 
@@ -67,64 +50,24 @@ def sensitivities(
     Raises:
         SimulationError: the simulation could not be carried to its end.
     """
-    if model.valve.gas is None:
-        return _without_gas(model, traces, values, directions, differing)
-    record = model.simulated(values)
-    moved = [_moved(values, direction) for direction in directions]
-    slopes = _record_slopes(model, record, moved, directions)
-    known = has_sensitivities(record, slopes)
-    columns: list[Array] = []
-    if not known.any():
-        return Sensitivities([], known)
-    for index, trace in enumerate(traces):
-        at, moving, zeros = _moving_recording((trace, index), (values, moved), directions, (slopes, model.valve))
-        tangents = _without_measured(Tangents(*moving), trace)
-        order: Any = slice(None)
-        if trace.outlet_pressure is None:
-            state, samples = prepared(record, trace, at.drive, at.lateness)
-        else:
-            times = trace.outlet_pressure.times
-            state, samples, order = prepared_with_pressure(record, trace, times, at.drive, at.lateness)
-        supply = supply_of(trace, at.lateness)
-        found = run_tangents(record, state, at.drive, samples, tangents, GAS_TOLERANCE, supply)
-        positions, currents, pressures = found
-        count = len(trace.times)
-        if trace.has_positions:
-            positions = averaged(trace, _in_order(positions, order)[:count])
-            columns.append(positions + zeros if zeros.any() else positions)
-        if trace.coil_current is not None:
-            rated = rated_current_of(record), rated_slopes(record, slopes)
-            columns.append(_rated(rated, samples.currents, currents))
-        if trace.outlet_pressure is not None:
-            columns.append(_in_order(pressures, order)[count:])
-    return Sensitivities(columns, known)
-
-
-def _without_gas(
-    model: ValveModel,
-    traces: Sequence[Trace],
-    values: Mapping[str, float],
-    directions: Sequence[Direction],
-    differing: Sequence[IntervalFactors],
-) -> Sensitivities:
-    """`sensitivities` of a valve without gas."""
     values, moved = _with_all(model, values, directions)
     valve, slopes, rated, known = _slopes_of(model, values, moved, directions)
     columns: list[Array] = []
     if not known.any():
         return Sensitivities([], known)
     for index, trace in enumerate(traces):
-        at, moving, zeros = _moving_recording((trace, index), (values, moved), directions, (slopes, model.valve))
+        own = _without_measured(valve, slopes, trace)
+        at, moving, zeros = _moving_recording((trace, index), (values, moved), directions, (own, model.valve))
         along = Directions(*moving)
         factors = differing[index].of(values)
         if factors is None:
             shown: Shown | WholeRun = shown_by(valve, trace, at.drive, at.lateness, along)
         else:
             by = np.zeros((len(directions), *factors.shape))
-            for row, (there, own) in enumerate(zip(moved, directions, strict=True)):
-                changed = differing[index].of(there) if any(map(is_of_recording, own.slopes)) else None
+            for row, (there, direction) in enumerate(zip(moved, directions, strict=True)):
+                changed = differing[index].of(there) if any(map(is_of_recording, direction.slopes)) else None
                 if changed is not None:
-                    by[row] = (changed - factors) / own.step
+                    by[row] = (changed - factors) / direction.step
             intervals = Intervals(factors, by, slopes)
             shown = whole_run(run_in_pieces(valve, trace, at.drive, at.lateness, along, intervals))
         if trace.has_positions:
@@ -132,6 +75,9 @@ def _without_gas(
             columns.append(positions + zeros if zeros.any() else positions)
         if trace.coil_current is not None:
             columns.append(_rated(rated, shown.currents, shown.of_currents))
+        if trace.outlet_pressure is not None:
+            assert isinstance(shown, Shown)
+            columns.append(shown.of_pressures)
     return Sensitivities(columns, known)
 
 
@@ -155,8 +101,8 @@ _WATCHED: Final = frozenset({*_SWITCHES, "reference_voltage", "coil_resistance"}
 
 def _is_watched(name: str) -> bool:
     """Whether a value may change a switch, or the rated current."""
-    effect, dot, _ = name.partition(".")
-    return not _WATCHED.isdisjoint(CATALOGUE[effect].changes if dot else (name,))
+    effect, _, _ = name.partition(".")
+    return not _WATCHED.isdisjoint(CATALOGUE[effect].changes if effect in CATALOGUE else (name,))
 
 
 def _switches_of(valve: Valve) -> Array:
@@ -201,24 +147,18 @@ def _slopes_of(
     return valve, slopes, (rated, of_rated), known
 
 
-def _in_order(rows: Array, order: Any) -> Array:
-    """Rows put back from the order in time in which they were shown."""
-    if isinstance(order, slice):
-        return rows
-    found = np.empty_like(rows)
-    found[order] = rows
-    return found
-
-
-def _without_measured(tangents: Tangents, trace: Trace) -> Tangents:
-    """Directions without moves of declared pressures in place of which a recording has measured ones."""
-    measured = (trace.outlet_start is not None, trace.inlet_pressure is not None, trace.demand_pressure is not None)
-    own = [place for place, is_measured in zip(PRESSURES_AT, measured, strict=True) if is_measured]
-    if not own:
-        return tangents
-    numbers = tangents.numbers.copy()
-    numbers[:, own] = 0.0
-    return replace(tangents, numbers=numbers)
+def _without_measured(valve: Valve, slopes: Array, trace: Trace) -> Array:
+    """Derivatives of a valve's numbers without moves of declared pressures where a recording has measured ones."""
+    measured = {
+        "outlet_pressure": trace.outlet_start, "inlet_pressure": trace.inlet_pressure,
+        "demand_pressure": trace.demand_pressure,
+    }  # fmt: skip
+    own = [PREFIX + name for name, found in measured.items() if found is not None]
+    if valve.gas is None or not own:
+        return slopes
+    parameters, kept = valve.plan().parameters, slopes.copy()
+    kept[:, [parameters.index(name) for name in own]] = 0.0
+    return kept
 
 
 def pieces(
@@ -272,7 +212,7 @@ def _moving_recording(
 
     Args:
         recording: trace and index. places: the values, and these moved along each direction.
-        slopes_and_valve: of the record's numbers along the directions; the valve as declared.
+        slopes_and_valve: of the valve's numbers along the directions; the valve as declared.
     """
     (trace, index), (values, moved), (slopes, valve) = recording, places, slopes_and_valve
     at = _recording(trace, index, values, valve)
@@ -315,18 +255,6 @@ def _moving_run(
             late[row] = (there.lateness - at.lateness) / direction.step
             zeros[row] = (there.zero - at.zero) / direction.step
     return (slopes, times, volts, -late), zeros
-
-
-def _record_slopes(
-    model: ValveModel, record: Any, moved: Sequence[Mapping[str, float]], directions: Sequence[Direction]
-) -> Array:
-    """(k, `NUMBERS`) derivatives of the record's numbers along the directions that led to where the values moved."""
-    numbers = numbers_of(record)
-    slopes = np.zeros((len(directions), len(numbers)))
-    for row, (values, direction) in enumerate(zip(moved, directions, strict=True)):
-        if not all(map(is_of_recording, direction.slopes)):
-            slopes[row] = (numbers_of(model.simulated(values)) - numbers) / direction.step
-    return slopes
 
 
 def _moved(values: Mapping[str, float], direction: Direction) -> dict[str, float]:

@@ -6,7 +6,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +15,9 @@ from valve_sim.identification.plants.protocol import Array, Channel, Contacts, R
 from valve_sim.model import Drive, ParameterError, Response, SimulationError, Valve, simulate
 from valve_sim.model.core.runs import Directions, Run, Shown
 from valve_sim.model.core.simulation import commands_of
-from valve_sim.model.core_types import EVENT_RECORD, EventKind
+from valve_sim.model.core_types import EventKind
+from valve_sim.model.drives import Supply
 from valve_sim.model.gas.parameters import GAS
-from valve_sim.model.gas.step import PRESSURE_COLUMN
-from valve_sim.model.gas.supplied import Supply, run_supplied, simulate_supplied
-from valve_sim.model.simulation import Samples, new_states, run_record
 from valve_sim.signals.long_columns import any_in, blocks, filled, largest_size, median_of, repeated_levels
 from valve_sim.traces import Signal, Trace, stroke_numbers
 from valve_sim.traces.clocks import intervals, usual_interval
@@ -27,9 +25,9 @@ from valve_sim.traces.measured_input import AT_COMMAND
 
 FIT_TOLERANCE: Final = 1e-8
 """Of one step while fitting: a thousandth of the noise at most."""
-GAS_TOLERANCE: Final = 1e-9
-"""Of one step while fitting a valve with gas. Difference quotients (of coils without a closed form) err by 10 to 30 %
-at 1e-8, by 3 % here."""
+GAS_TOLERANCE: Final = 3e-10
+"""Of one step while fitting a valve with gas: pressures are then within 1e-7 of themselves, and difference quotients of
+them over 10 µs of a clock within 0.1 %."""
 STAMPS: Final = math.sqrt(2.0) * 1e-9
 """s: a sample and the command before it are stamped in whole nanoseconds each."""
 SETTLING: Final = 0.3
@@ -56,7 +54,6 @@ EVENTS_EACH: Final = 64
 FAINTEST: Final = 0.02
 """Momentum of a contact, over that of all that moves at `USUAL_SPEED`, that no sensor's mount feels."""
 
-NO_EVENTS: Final = np.empty(0, EVENT_RECORD)
 NO_TIMES: Final = np.empty(0)
 NO_SIGNAL: Final = Signal(NO_TIMES, NO_TIMES)
 
@@ -206,50 +203,57 @@ def _current_channel(index: int, trace: Trace, strokes: NDArray[np.integer]) -> 
     )  # fmt: skip
 
 
-def run_from_rest(
-    valve: Valve, trace: Trace, drive: Drive, offset: float, directions: Directions | None = None,
-    numbers: Array | None = None,
-) -> Run:  # fmt: skip
-    """A run of a valve without gas that rests until the first command or sample; arguments as of `predicted`.
+class Recorded(NamedTuple):
+    """A valve with the pressures that a recording of it measured, and all that is commanded to it.
+
+    Attributes:
+        valve: what is simulated. commands: see `commands_of`. start: s, until when it rests.
+    """
+
+    valve: Valve
+    commands: Array
+    start: float
+
+
+def recorded(valve: Valve, trace: Trace, drive: Drive, offset: float) -> Recorded:
+    """A valve as a trace recorded it, which rests until the first command or sample; arguments as of `predicted`."""
+    firsts = [trace.sample_times[:1]]
+    if trace.outlet_pressure is not None:
+        firsts.append(trace.outlet_pressure.times[:1])
+    start = min(float(drive.times[0]), *(float(own[0]) - offset for own in firsts if len(own)))
+    if valve.gas is not None and trace.outlet_start is not None:
+        valve = replace(valve, gas=valve.gas._replace(outlet_pressure=max(trace.outlet_start, LEAST_PRESSURE)))
+    supply = None if valve.gas is None else supply_of(trace, offset)
+    return Recorded(valve, commands_of(drive, supply, start), start)
+
+
+def run_from_rest(of: Recorded, directions: Directions | None = None, numbers: Array | None = None) -> Run:
+    """A run of a recorded valve.
 
     Args:
         directions: along which derivatives are carried. numbers: of the valve, in place of its own.
     """
-    start = min(float(drive.times[0]), float(trace.sample_times[0]) - offset)
-    return Run(valve, start, tolerance=FIT_TOLERANCE, directions=directions, numbers=numbers)
+    tolerance = FIT_TOLERANCE if of.valve.gas is None else GAS_TOLERANCE
+    if directions is not None:
+        directions = directions.among(of.commands)
+    return Run(of.valve, of.start, tolerance=tolerance, directions=directions, numbers=numbers)
 
 
 def shown_by(
     valve: Valve, trace: Trace, drive: Drive, offset: float, directions: Directions | None = None, room: int = 0
 ) -> Shown:
-    """What the sensors of a valve without gas show at the samples of a trace; arguments as of `run_from_rest`.
+    """What the sensors of a valve show at the samples of a trace; arguments as of `predicted` and `run_from_rest`.
 
     Raises:
         SimulationError: the simulation could not be carried to its end.
     """
     times = trace.times - offset
-    current_times = trace.coil_current.times - offset if trace.coil_current is not None else NO_TIMES
-    end = max(float(own[-1]) for own in (times, current_times) if len(own))
-    run = run_from_rest(valve, trace, drive, offset, directions)
-    return run.piece(commands_of(drive), end, times, current_times, room=room)
-
-
-def prepared(record: Any, trace: Trace, drive: Drive, offset: float) -> tuple[Any, Samples]:
-    """A state of a valve with gas from which to run, and room for what is shown; arguments as of `predicted`."""
-    times = trace.times - offset
-    current_times = trace.coil_current.times - offset if trace.coil_current is not None else NO_TIMES
-    samples = Samples(times, np.empty((len(times), 1)), current_times, np.empty(len(current_times)))
-    return state_before(record, trace, drive, trace.sample_times - offset), samples
-
-
-def state_before(record: Any, trace: Trace, drive: Drive, times: Array) -> Any:
-    """A valve with gas at rest at the first command or sample, before the line as it then was if that is known."""
-    start = min(float(drive.times[0]), float(times.min()))
-    if trace.outlet_start is None:
-        return new_states(record, start)
-    filled = record.copy()
-    filled["outlet_pressure"] = max(trace.outlet_start, LEAST_PRESSURE)
-    return new_states(filled, start)
+    current_times, pressure_times = (
+        NO_TIMES if own is None else own.times - offset for own in (trace.coil_current, trace.outlet_pressure)
+    )
+    end = max(float(own[-1]) for own in (times, current_times, pressure_times) if len(own))
+    of = recorded(valve, trace, drive, offset)
+    return run_from_rest(of, directions).piece(of.commands, end, times, current_times, pressure_times, room=room)
 
 
 def as_it_began(valve: Valve, trace: Trace) -> Valve:
@@ -267,33 +271,19 @@ def as_it_began(valve: Valve, trace: Trace) -> Valve:
     return replace(valve, gas=valve.gas._replace(**least)) if least else valve
 
 
-def predicted(simulated: Any, trace: Trace, drive: Drive, offset: float) -> list[Array]:
+def predicted(valve: Valve, trace: Trace, drive: Drive, offset: float) -> list[Array]:
     """What the sensors show at the samples of a trace: positions, then current and outlet pressure where recorded.
 
     Args:
-        simulated: a valve without gas, or a (1,) GAS_VALVE_RECORD. trace: whose sample times count.
+        valve: what is simulated. trace: whose sample times count.
         drive: when the voltage changes, s. offset: s by which samples are stamped late.
 
     Raises:
         SimulationError: the simulation could not be carried to its end.
     """
-    if isinstance(simulated, Valve):
-        shown = shown_by(simulated, trace, drive, offset)
-        return [shown.positions, *amperes(simulated, trace, shown.currents)]
-    if trace.outlet_pressure is not None:
-        return _predicted_with_pressure(simulated, trace, trace.outlet_pressure.times, drive, offset)
-    state, samples = prepared(simulated, trace, drive, offset)
-    _run_gas(simulated, state, trace, drive, samples, offset)
-    return [samples.rows[:, 0], *amperes(simulated, trace, samples.currents)]
-
-
-def _run_gas(record: Any, state: Any, trace: Trace, drive: Drive, samples: Samples, offset: float) -> None:
-    """Run a valve with gas, from the pressures of tank and demand as they were measured, if they were."""
-    supply = supply_of(trace, offset)
-    if supply is None:
-        run_record(record, state, drive, samples, NO_EVENTS, GAS_TOLERANCE)
-    else:
-        run_supplied(record, state, drive, supply, samples, NO_EVENTS, GAS_TOLERANCE)
+    shown = shown_by(valve, trace, drive, offset)
+    pressures = [] if trace.outlet_pressure is None else [shown.pressures]
+    return [shown.positions, *amperes(valve, trace, shown.currents), *pressures]
 
 
 def supply_of(trace: Trace, offset: float) -> Supply | None:
@@ -321,9 +311,7 @@ def response_to(valve: Valve, trace: Trace, drive: Drive, times: Array, start: f
     """
     supply = None if valve.gas is None else supply_of(trace, offset)
     valve = as_it_began(valve, trace)
-    if supply is None:
-        return simulate(valve, drive, times, start_time=start)
-    return simulate_supplied(valve, drive, supply, times, start)
+    return simulate(valve, drive, times, start_time=start, supply=supply)
 
 
 def with_declared_sensor(valve: Valve, traces: Sequence[Trace]) -> Valve:
@@ -362,62 +350,29 @@ def averaged(trace: Trace, positions: Array) -> Array:
     return np.asarray((sums[count:] - sums[:-count]) / count)
 
 
-def rated_current_of(simulated: Any) -> float:
-    """The coil current at u = 1, A, of a valve without gas, or of a (1,) GAS_VALVE_RECORD.
+def rated_current_of(valve: Valve) -> float:
+    """The coil current at u = 1, A.
 
     Raises:
         SimulationError: the coil has no resistance.
     """
-    if isinstance(simulated, Valve):
-        voltage, resistance = simulated.after_effects("reference_voltage", "coil_resistance")
-    else:
-        voltage, resistance = (simulated[name].item() for name in ("reference_voltage", "coil_resistance"))
+    voltage, resistance = valve.after_effects("reference_voltage", "coil_resistance")
     if resistance <= 0.0:
         raise SimulationError("coil_resistance: found 0 Ω, which leaves the current infinite")
-    return float(voltage / resistance)
+    return voltage / resistance
 
 
-def amperes(simulated: Any, trace: Trace, currents: Array) -> list[Array]:
+def amperes(valve: Valve, trace: Trace, currents: Array) -> list[Array]:
     """Currents as a trace has them, from normalised ones; none where it has none.
 
     Raises:
         SimulationError: the coil has no resistance.
     """
-    return [] if trace.coil_current is None else [currents * rated_current_of(simulated)]
-
-
-def prepared_with_pressure(
-    record: Any, trace: Trace, pressure_times: Array, drive: Drive, offset: float
-) -> tuple[Any, Samples, NDArray[np.int64]]:
-    """What `prepared` returns, where the outlet's pressure was recorded of a valve with gas; and the order of the rows.
-
-    That is of first the positions', then the pressure's times.
-    """
-    # The core shows all rows as late as positions are, and a pressure is not.
-    late = record["sensor_delay"].item()
-    apart = np.concatenate([trace.times, pressure_times + late]) - offset
-    order = np.argsort(apart, kind="stable")  # almost free where only one of the two was recorded
-    times = apart[order]
-    current_times = trace.coil_current.times - offset if trace.coil_current is not None else NO_TIMES
-    rows = np.empty((len(times), PRESSURE_COLUMN + 1))
-    samples = Samples(times, rows, current_times, np.empty(len(current_times)))
-    firsts = np.concatenate([trace.sample_times[:1], pressure_times[:1]])
-    return state_before(record, trace, drive, firsts - offset), samples, order
-
-
-def _predicted_with_pressure(
-    record: Any, trace: Trace, pressure_times: Array, drive: Drive, offset: float
-) -> list[Array]:
-    """What the sensors of a valve with gas show, where the outlet's pressure was recorded."""
-    state, samples, order = prepared_with_pressure(record, trace, pressure_times, drive, offset)
-    _run_gas(record, state, trace, drive, samples, offset)
-    count, shown = len(trace.times), np.empty_like(samples.rows)
-    shown[order] = samples.rows
-    return [shown[:count, 0], *amperes(record, trace, samples.currents), shown[count:, PRESSURE_COLUMN]]
+    return [] if trace.coil_current is None else [currents * rated_current_of(valve)]
 
 
 def contacts(valve: Valve, trace: Trace, drive: Drive, offset: float) -> Contacts:
-    """When plungers of a valve without gas meet the body, and with which momentum; arguments as of `predicted`.
+    """When plungers of a valve meet the body, and with which momentum; arguments as of `predicted`.
 
     Raises:
         SimulationError: the simulation could not be carried to its end.
@@ -442,20 +397,14 @@ def contacts(valve: Valve, trace: Trace, drive: Drive, offset: float) -> Contact
     return Contacts(times[felt] + offset, momenta[felt], places[kinds][felt])
 
 
-def followed(simulated: Any, trace: Trace, drive: Drive, offset: float) -> Array:
+def followed(valve: Valve, trace: Trace, drive: Drive, offset: float) -> Array:
     """The pilot plunger's positions at the samples by which a trace is judged, m; arguments as of `predicted`.
 
     Raises:
         SimulationError: the simulation could not be carried to its end.
     """
-    times = trace.sample_times - offset
-    if isinstance(simulated, Valve):
-        run = run_from_rest(simulated, trace, drive, offset)
-        return run.piece(commands_of(drive), float(times[-1]), times).positions
-    samples = Samples(times, np.empty((len(times), 1)), NO_TIMES, NO_TIMES)
-    state = state_before(simulated, trace, drive, times)
-    _run_gas(simulated, state, trace, drive, samples, offset)
-    return samples.rows[:, 0]
+    times, of = trace.sample_times - offset, recorded(valve, trace, drive, offset)
+    return run_from_rest(of).piece(of.commands, float(times[-1]), times).positions
 
 
 def _settled(drive: Drive, current: Signal) -> NDArray[np.bool_]:

@@ -160,6 +160,18 @@ class Code:
         given = ", ".join(f"{kind} {argument.text}" for argument in arguments)
         return self.emit(f"call {kind} @llvm.{name}.{suffix}({given})", kind)
 
+    def library(self, name: str, a: Value) -> Value:
+        """One of the functions of C's mathematics that LLVM does not know: expm1, log1p; of each lane in turn."""
+        self.declared.add(f"declare double @{name}(double)")
+        if a.type == "double":
+            return self.emit(f"call double @{name}(double {a.text})", "double")
+        made = Value("undef", a.type)
+        for lane in range(int(a.type[1:].split()[0])):
+            one = self.emit(f"extractelement {a.type} {a.text}, i32 {lane}", "double")
+            found = self.emit(f"call double @{name}(double {one.text})", "double")
+            made = self.emit(f"insertelement {a.type} {made.text}, double {found.text}, i32 {lane}", a.type)
+        return made
+
     def compare(self, how: str, a: Value, b: Value) -> Value:
         """Whether two values compare so: ogt, olt, oge, ole, oeq."""
         kind = "i1" if a.type == "double" else a.type.replace("double", "i1")

@@ -15,21 +15,38 @@ times the derivative δ of its time, changed there as the event changes them, an
 from __future__ import annotations
 
 import math
-from typing import Any, Final, TypeAlias
+from typing import Final
 
+from valve_sim.model.core import gas_steps, polynomials
+from valve_sim.model.core.gas_steps import (
+    FIRST_STEP,
+    MARGIN,
+    MARGIN_OF_PRESSURE,
+    controlled_gas_step,
+    finish_gas_step,
+    know_rate,
+    regime_at,
+    regime_of,
+    rest_at,
+    take_gas_step,
+)
 from valve_sim.model.core.layout import (
     ACCELERATION,
     AHEAD,
     AT,
     BEYOND,
     BLOCKED,
+    CHANGED,
     CHATTER,
     CLOSED_NOW,
+    CLOSING,
     COIL,
     COIL_RATES,
     COMPLIANCE,
+    CONTACT,
     COUNT,
     CURRENT,
+    CURRENT_GONE,
     CURRENT_RATE,
     CURVE,
     CURVE_C,
@@ -39,9 +56,13 @@ from valve_sim.model.core.layout import (
     CURVE_LOW,
     CURVE_PLACE,
     DECIDE,
+    DECLARED_DEMAND,
+    DECLARED_TANK,
     DEFECT,
     DELAY,
     DELTA,
+    DEMAND,
+    DENSITY,
     DIRECTION,
     DOWN,
     DOWN_RATE,
@@ -52,10 +73,16 @@ from valve_sim.model.core.layout import (
     END_V,
     END_X,
     ENDS,
+    FALL,
+    FIRST_DENSITY,
     FLAG,
+    FLAGGED,
+    FLOW_SWITCHED,
     FREEWHEELS,
     GAIN,
     GAP,
+    GAS_KNOWN,
+    GAS_STEP,
     GUARD,
     GUARDS,
     HAS_PEAK,
@@ -71,18 +98,22 @@ from valve_sim.model.core.layout import (
     LONGEST,
     LOOK,
     LOW_GUARD,
+    MASS_FLOW,
     MAY_FALL,
     MAY_RISE,
     MODE,
     MOVE,
     MOVING,
     NET,
+    NO_EVENT,
     NUMBER_COUNT,
     NUMBERS,
     ON_SEAT,
     ONE_PLUNGER,
     ORDER,
     OUTCOME,
+    OUTLET,
+    OUTLET_RATE,
     PATH,
     PEAK,
     PENDING,
@@ -91,10 +122,13 @@ from valve_sim.model.core.layout import (
     PULL,
     RATED,
     RATIO,
+    REGIME,
+    REGIME_AHEAD,
     RELEASE,
     REST,
     RESTITUTION_SEAT,
     RESTITUTION_STOP,
+    RISE,
     ROW,
     ROW_V,
     ROW_X,
@@ -115,34 +149,36 @@ from valve_sim.model.core.layout import (
     STEP,
     STROKE,
     SUSPECT,
+    TANK,
+    TANK_RATE,
+    TANK_TIME,
     TERMINAL,
     TERMS,
     TIME,
     TOLERANCE,
+    TURN,
     UNSEATED_TIME,
     UP,
     UP_RATE,
     VOLTS,
     WARM,
+    WATCH,
     WIDTH,
     V,
     X,
 )  # fmt: skip
+from valve_sim.model.core.polynomials import Block, extent, first_fall, invoke, root, value_at
 from valve_sim.model.core_types import EventKind, Outcome, Phase
-
-Block: TypeAlias = Any
-"""Doubles that are read and written by index; `b[n:]` begins n further on."""
 
 CLOSED, PILOT, GAP_HOLD, MAIN, OPEN = (int(phase) for phase in Phase)
 UNSEATED, PICKED_UP, HELD_AT_GAP, LIFTED_OFF, DROPPED, REACHED_STOP, BOUNCED_AT_STOP = (
     int(k) for k in list(EventKind)[:7]
 )
 RELEASED, MAIN_SEATED, SEATED, BOUNCED_AT_SEAT, STUCK, BROKE_AWAY, GONE = (int(k) for k in list(EventKind)[7:14])
+FLOW_CHOKED, FLOW_SUBSONIC, FLOW_REVERSED = (int(k) for k in list(EventKind)[14:])
 FINISHED, STEP_TOO_SMALL, TOO_MANY_STEPS, CHATTERING = (int(outcome) for outcome in list(Outcome)[:4])
 DRIVEN, FREEWHEELING, CUT_OFF = 0, 1, 2
 """What closes the coil's circuit: its driver, the freewheeling path, or nothing."""
-NO_EVENT, CONTACT, TURN, RISE, FALL, CURRENT_GONE, FLAGGED = 0, 1, 2, 3, 4, 5, 6
-"""What ends a step; FLAGGED and more is the comparison of that number."""
 
 SLOW_AT_GAP: Final = 1e-3
 """m/s: a slower contact at the gap may be held there."""
@@ -170,16 +206,12 @@ JUMPED: Final = 1e-9
 """N: so much more than what holds them pushes plungers at rest only after a jump of the force."""
 RECOVERS: Final = 1e-3
 """Of a step: a comparison that holds again so soon has just begun to hold."""
-NARROWEST: Final = 1e-12
-"""Of a step: a guard that cannot be told from 0 in a shorter part of it counts as 0 there."""
-MOST_TRIALS: Final = 400
-FINE: Final = 5
-NEWTON_STEPS: Final = 60
 ON_EQUATION: Final = 4
 """Newton steps on the balance of forces with which the end of a rest is found."""
 ROW_COLUMNS: Final = 9
+GAS_COLUMNS: Final = ROW_COLUMNS + 2
 """Of a whole row of output: pilot and main plunger as shown, m; velocity, m/s; attraction, N; phase; the pilot itself,
-m; V at the terminals; the current u, and in A."""
+m; V at the terminals; the current u, and in A; with gas the outlet's pressure, Pa, and the mass flow, kg/s."""
 UPWARDS: Final = 6.0
 """Time constants of the low-pass above which its moments are found upwards; so neither way loses two digits."""
 MOST_STEPS: Final = 1_000_000
@@ -200,11 +232,20 @@ NO_CURRENT: Final = 1e-12
 """Of the reference current: less is none, where there is no voltage."""
 NEGLIGIBLE: Final = 1e-17
 """Of a sum: a term that ends its series."""
-
-
-def invoke(address: float, b: Block, t: Block) -> None:
-    """Call a kernel; what is compiled does so by its address."""
-    raise NotImplementedError
+LOOKS_AT_REST: Final = 8
+LOOKS_IN_MOTION: Final = 4
+"""How often in a step of a valve with gas it is asked what has happened."""
+HALVED: Final = 5e-12
+"""s: how exactly that is then located."""
+MOST_HALVINGS: Final = 60
+MOST_POLISHING: Final = 5
+"""Newton steps by which the end of such a step is mended, at most; two are common."""
+POLISHED: Final = 1e-15
+"""s: accuracy of what is mended."""
+POLISHED_WITHIN: Final = 1.001
+"""Of the step found before."""
+CHANGES: Final = 5
+"""Numbers of a command: see `drive`."""
 
 
 def enter(b: Block, t: Block) -> None:
@@ -307,121 +348,10 @@ def contact_ahead(b: Block) -> int:
     return GAP if b[DIRECTION] > 0.0 else TIME
 
 
-def value_at(b: Block, c: int, h: float, terms: int) -> float:
-    """The polynomial whose coefficients begin at slot c, at h."""
-    total: float = b[c + terms - 1]
-    for k in range(terms - 2, -1, -1):
-        total = b[c + k] + h * total
-    return total
-
-
-def slope_at(b: Block, c: int, h: float, terms: int) -> float:
-    """Its derivative."""
-    total: float = (terms - 1) * b[c + terms - 1]
-    for k in range(terms - 2, 0, -1):
-        total = k * b[c + k] + h * total
-    return total
-
-
-def bound(p: Block, w: float, down: float) -> float:
-    """A number that a polynomial of TERMS terms, times `down`, does not fall below between 0 and w.
-
-    The smallest Bernstein coefficient of its first terms, less the size of the others.
-    """
-    d1 = down * p[1] * w
-    w2 = w * w
-    d2 = down * p[2] * w2
-    d3 = down * p[3] * w2 * w
-    d4 = down * p[4] * w2 * w2
-    d5 = down * p[5] * w2 * w2 * w
-    power = w2 * w2 * w2
-    rest = 0.0
-    for k in range(FINE + 1, TERMS):
-        rest += abs(p[k]) * power
-        power *= w
-    b0: float = down * p[0]
-    b1 = b0 + d1 * 0.2
-    b2 = b0 + d1 * 0.4 + d2 * 0.1
-    b3 = b0 + d1 * 0.6 + d2 * 0.3 + d3 * 0.1
-    b4 = b0 + d1 * 0.8 + d2 * 0.6 + d3 * 0.4 + d4 * 0.2
-    b5 = b0 + d1 + d2 + d3 + d4 + d5
-    return float(min(b0, b1, b2, b3, b4, b5) - rest)
-
-
-def first_fall(b: Block, c: int, h: float, unsure: float) -> float:
-    """When a polynomial first falls through 0, s; 2 h if it does not before h.
-
-    Args:
-        b, c: a block, and the slot where the coefficients of the polynomial begin.
-        h: s, up to when it is followed. unsure: it falls only if it comes below −unsure.
-    """
-    p = b[SCRATCH:]
-    slopes = b[SCRATCH + TERMS :]
-    power = 1.0
-    for k in range(TERMS):
-        p[k] = b[c + k] * power
-        power *= h
-    left = 0.0
-    width = 1.0
-    for _ in range(MOST_TRIALS):
-        if p[0] < -unsure:
-            return left * h
-        for k in range(1, TERMS):
-            slopes[k - 1] = k * p[k]
-        slopes[TERMS - 1] = 0.0
-        is_sure = bound(p, width, 1.0) > -unsure
-        if not is_sure and (bound(slopes, width, -1.0) > 0.0 or width < NARROWEST):
-            if value_at(p, 0, width, TERMS) < -unsure:
-                return (left + root(p, 0, width, 0.0, -1.0, TERMS)) * h
-            # It comes close to 0 and does not fall through.
-            is_sure = True
-        if is_sure:
-            left += width
-            if left >= 1.0:
-                return 2.0 * h
-            shift(p, width)
-            width = min(2.0 * width, 1.0 - left)
-        else:
-            width *= 0.5
-    return 2.0 * h
-
-
-def shift(p: Block, by: float) -> None:
-    """Make a polynomial of TERMS terms one about a place further on."""
-    for i in range(TERMS - 1):
-        for k in range(TERMS - 2, i - 1, -1):
-            p[k] += by * p[k + 1]
-
-
-def root(b: Block, c: int, h: float, target: float, way: float, terms: int) -> float:
-    """Where a polynomial that is monotone up to h reaches a target, which it does: Newton's method in a bracket.
-
-    Args:
-        b, c: a block, and the slot where the coefficients begin. target: as the polynomial. way: +1 upwards, −1 down.
-    """
-    low = 0.0
-    high = h
-    at = h
-    for _ in range(NEWTON_STEPS):
-        ahead = (value_at(b, c, at, terms) - target) * way
-        if ahead >= 0.0:
-            high = at
-        else:
-            low = at
-        slope = slope_at(b, c, at, terms) * way
-        better = at - ahead / slope if slope > 0.0 else low
-        if not (low < better < high):
-            if better == at or high - low <= 1e-16 * h:
-                return at
-            better = 0.5 * (low + high)
-        if abs(better - at) <= 1e-16 * h:
-            return better
-        at = better
-    return at
-
-
 def step(b: Block, t: Block) -> int:
     """Find the next step from the state: its series, its size, and what ends it. −1 if it cannot be found."""
+    if b[DENSITY] > 0.0:
+        return step_with_gas(b, t)
     if b[MOVING] == 0.0:
         if b[WARM] >= 0.0 and b[VOLTS] == 0.0 and b[WIDTH] == 0.0:
             settle_coil(b, t)
@@ -449,13 +379,147 @@ def settle_coil(b: Block, t: Block) -> None:
     """Set negligible currents of a coil without voltage to 0: while they fade, an hour takes a million steps."""
     states = int(b[STATES])
     warm = int(b[WARM])
+    gas = int(b[DENSITY])
     for i in range(states):
-        if i != warm and abs(b[COIL + i]) > NO_CURRENT:
+        if i != warm and COIL + i != gas and abs(b[COIL + i]) > NO_CURRENT:
             return
     for i in range(states):
-        if i != warm:
+        if i != warm and COIL + i != gas:
             b[COIL + i] = 0.0
             set_tangents(b, t, COIL + i, COIL + i, 0.0)
+
+
+def step_with_gas(b: Block, t: Block) -> int:
+    """`step` of a valve with gas."""
+    if b[MOVING] == 0.0 and b[WARM] >= 0.0 and b[VOLTS] == 0.0 and b[WIDTH] == 0.0:
+        settle_coil(b, t)
+    if b[MOVING] == 0.0:
+        push = push_now(b, t)
+        if push != 0.0:
+            rest_at(b, t)
+            return RISE if push > 0.0 else FALL
+    if not controlled_gas_step(b, t) or b[END_X] - b[END_X] != 0.0 or b[END_V] - b[END_V] != 0.0:
+        return -1
+    ends = first_with_gas(b, t)
+    if ends != NO_EVENT:
+        polish_gas_step(b, t, ends)
+    finish_gas_step(b, t)
+    return ends
+
+
+def first_with_gas(b: Block, t: Block) -> int:
+    """What ends a step of a valve with gas first; sets its size to when that happens."""
+    whole = b[STEP]
+    ends = first_of_motion(b) if b[MOVING] > 0.0 else NO_EVENT
+    at_rest = b[MOVING] == 0.0
+    looks = LOOKS_AT_REST if at_rest else LOOKS_IN_MOTION
+    longest = b[STEP]
+    low = 0.0
+    for look in range(1, looks + 1):
+        high = longest * look / looks
+        found = happened_by(b, t, high)
+        if found != NO_EVENT:
+            for _ in range(MOST_HALVINGS):
+                if high - low < HALVED:
+                    break
+                middle = 0.5 * (low + high)
+                sooner = happened_by(b, t, middle)
+                if sooner != NO_EVENT:
+                    high = middle
+                    found = sooner
+                else:
+                    low = middle
+            ends = found
+            b[STEP] = high
+            break
+        low = high
+    if regime_at(b, t, b[STEP], MARGIN, MARGIN_OF_PRESSURE) != b[REGIME]:
+        ahead = regime_of(b, MARGIN, MARGIN_OF_PRESSURE)
+        low = 0.0
+        high = b[STEP]
+        for _ in range(MOST_HALVINGS):
+            if high - low < HALVED:
+                break
+            middle = 0.5 * (low + high)
+            if regime_at(b, t, middle, 0.0, 0.0) == b[REGIME]:
+                low = middle
+            else:
+                high = middle
+        there = regime_at(b, t, high, 0.0, 0.0)
+        b[REGIME_AHEAD] = there if there != b[REGIME] else ahead
+        b[STEP] = high
+        ends = FLOW_SWITCHED
+    if ends != NO_EVENT and b[STEP] > whole:
+        b[STEP] = whole
+    return ends
+
+
+def happened_by(b: Block, t: Block, elapsed: float) -> int:
+    """What has happened by some time within the step at hand of a valve with gas, but for turns and contacts."""
+    b[ELAPSED] = elapsed
+    invoke(b[WATCH], b, t)
+    if b[MOVING] == 0.0:
+        if b[GUARD] < 0.0:
+            return RISE
+        if b[GUARD + 1] < 0.0:
+            return FALL
+    if b[FREEWHEELS] != 0.0 and b[GUARD + 2] < 0.0:
+        return CURRENT_GONE
+    count = int(b[GUARDS])
+    for guard in range(count):
+        if b[GUARD + 3 + guard] < 0.0:
+            return FLAGGED + guard
+    return NO_EVENT
+
+
+def polish_gas_step(b: Block, t: Block, ends: int) -> None:
+    """Retake a step of a valve with gas so that it ends exactly at what ends it."""
+    longest = POLISHED_WITHIN * b[STEP]
+    h = b[STEP]
+    for _ in range(MOST_POLISHING):
+        take_gas_step(b, t, h)
+        off = 0.0
+        slope = 0.0
+        if ends == CONTACT:
+            off = b[END_X] - b[AHEAD]
+            slope = b[END_V]
+        elif ends in (TURN, RISE, FALL, CURRENT_GONE):
+            look_at_end(b, t)
+            if ends == TURN:
+                off = b[END_V]
+                slope = b[ACCELERATION]
+            elif ends == CURRENT_GONE:
+                off = b[CURRENT]
+                slope = b[CURRENT_RATE]
+            else:
+                off = b[UP] if ends == RISE else b[DOWN]
+                slope = b[UP_RATE] if ends == RISE else b[DOWN_RATE]
+        if slope == 0.0:
+            return
+        better = h - off / slope
+        if not (0.0 < better <= longest) or abs(better - h) <= POLISHED:
+            return
+        h = better
+
+
+def look_at_end(b: Block, t: Block) -> None:
+    """Look at the end of the step at hand as if it were the state."""
+    states = 2 + int(b[STATES])
+    kept = b[SCRATCH:]
+    time = b[TIME]
+    h = b[STEP]
+    density = b[END + int(b[DENSITY]) - X]
+    b[ELAPSED] = h
+    invoke(b[AT], b, t)
+    b[END + int(b[DENSITY]) - X] = density
+    for i in range(states):
+        kept[i] = b[X + i]
+        b[X + i] = b[END + i]
+    b[TIME] = time + h
+    invoke(b[LOOK], b, t)
+    b[TIME] = time
+    for i in range(states):
+        b[X + i] = kept[i]
 
 
 def first_event(b: Block, t: Block) -> int:
@@ -511,16 +575,6 @@ def first_of_rest(b: Block) -> int:
         b[STEP] = fall
         ends = FALL
     return ends
-
-
-def extent(b: Block, c: int, h: float) -> float:
-    """The size of a polynomial up to h: the sum of the sizes of its terms."""
-    total = 0.0
-    power = 1.0
-    for k in range(TERMS):
-        total += abs(b[c + k]) * power
-        power *= h
-    return total
 
 
 def balance(b: Block, t: Block, ends: int) -> None:
@@ -687,6 +741,7 @@ def set_off(b: Block, t: Block, mode: int, direction: float) -> None:
     b[MODE] = mode
     b[MOVING] = 1.0
     b[DIRECTION] = direction
+    b[GAS_STEP] = FIRST_STEP
     enter(b, t)
 
 
@@ -769,7 +824,8 @@ def touch_seat(b: Block, t: Block, events: Block, room: int) -> None:
 def touch_gap(b: Block, t: Block, events: Block, room: int) -> None:
     """The contact between pilot and main plunger, from below (pick-up) or above (the main plunger seats)."""
     v = b[V]
-    if abs(v) < SLOW_AT_GAP:
+    falls_on_gas = b[DENSITY] > 0.0 and b[DIRECTION] < 0.0
+    if abs(v) < SLOW_AT_GAP or falls_on_gas:
         # Friction takes no part in this decision, nor does velocity.
         lifted = b[LIFTED]
         b[V] = 0.0
@@ -781,7 +837,8 @@ def touch_gap(b: Block, t: Block, events: Block, room: int) -> None:
         of_main = b[NET]
         b[LIFTED] = lifted
         b[V] = v
-        if of_pilot > 0.0 and of_main <= 0.0:
+        held_by_gas = falls_on_gas and of_main <= 0.0 and of_main + b[CLOSING] > 0.0
+        if held_by_gas or (abs(v) < SLOW_AT_GAP and of_pilot > 0.0 and of_main <= 0.0):
             come_to_rest(b, t, GAP_HOLD)
             log_event(b, events, room, HELD_AT_GAP, v)
             return
@@ -853,6 +910,7 @@ def close_circuit(b: Block, t: Block) -> None:
 def set_voltage(b: Block, t: Block, volts: float) -> None:
     """A command takes effect now, at the state's time."""
     b[VOLTS] = volts
+    b[CHANGED] = b[TIME]
     close_circuit(b, t)
     if b[HAS_PEAK] > 0.0:
         invoke(b[LOOK], b, t)
@@ -972,12 +1030,12 @@ def fill(
                 h = max(0.0, times[i] - delay - start)
                 row = rows[i * columns :]
                 row[0] = b[GAIN] * shown_pilot(b, h)
-                if columns == ROW_COLUMNS:
+                if columns > 1:
                     row[1] = b[GAIN] * shown_main(b, h)
         if b[WIDTH] > 0.0:
             fill_slopes(b, t, times, first, end, slopes)
         b[SAMPLED] = end
-    if columns == ROW_COLUMNS or current_count > 0:
+    if columns > 1 or current_count > 0:
         fill_others(b, t, last, times, count, rows, columns, current_times, current_count, currents, current_slopes)
 
 
@@ -988,10 +1046,10 @@ def fill_others(
     """Write all but positions of the samples up to `last`: whole rows, or the current."""
     first = int(b[SAMPLED_ROWS])
     end = first
-    if columns == ROW_COLUMNS:
+    if columns > 1:
         while end < count and times[end] <= last:
             end += 1
-        fill_whole_rows(b, t, times, first, end, rows)
+        fill_whole_rows(b, t, times, first, end, rows, columns)
     else:
         while end < current_count and current_times[end] <= last:
             end += 1
@@ -1077,8 +1135,15 @@ def fill_sloped_currents(
     for i in range(first, end):
         b[ELAPSED] = max(0.0, times[i] - b[TIME])
         invoke(b[ROW], b, t)
-        currents[i] = b[CURRENT]
-        out = slopes[i * width :]
+        if b[DENSITY] > 0.0:
+            currents[2 * i] = b[CURRENT]
+            currents[2 * i + 1] = b[OUTLET]
+            out = slopes[2 * i * width :]
+            for k in range(width):
+                out[width + k] = t[OUTLET * width + k] + b[OUTLET_RATE] * t[LATE * width + k]
+        else:
+            currents[i] = b[CURRENT]
+            out = slopes[i * width :]
         for k in range(width):
             out[k] = t[CURRENT * width + k] + b[CURRENT_RATE] * t[LATE * width + k]
 
@@ -1090,10 +1155,14 @@ def fill_currents(b: Block, t: Block, times: Block, first: int, end: int, curren
             b[ROWS + lane] = max(0.0, times[min(i + lane, end - 1)] - b[TIME])
         invoke(b[ROWS_AT], b, t)
         for lane in range(min(ROWS_LANES, end - i)):
-            currents[i + lane] = b[ROWS + 5 * ROWS_LANES + lane]
+            if b[DENSITY] > 0.0:
+                currents[2 * (i + lane)] = b[ROWS + 5 * ROWS_LANES + lane]
+                currents[2 * (i + lane) + 1] = b[ROWS + 6 * ROWS_LANES + lane]
+            else:
+                currents[i + lane] = b[ROWS + 5 * ROWS_LANES + lane]
 
 
-def fill_whole_rows(b: Block, t: Block, times: Block, first: int, end: int, rows: Block) -> None:
+def fill_whole_rows(b: Block, t: Block, times: Block, first: int, end: int, rows: Block, columns: int) -> None:
     """Write whole rows of some samples, ROWS_LANES of them at once; what is left over of these is the last one."""
     for i in range(first, end, ROWS_LANES):
         for lane in range(ROWS_LANES):
@@ -1101,7 +1170,7 @@ def fill_whole_rows(b: Block, t: Block, times: Block, first: int, end: int, rows
         invoke(b[ROWS_AT], b, t)
         for lane in range(min(ROWS_LANES, end - i)):
             shown = b[ROWS + lane :]
-            row = rows[(i + lane) * ROW_COLUMNS :]
+            row = rows[(i + lane) * columns :]
             row[5] = shown[ROWS_LANES]
             row[2] = shown[2 * ROWS_LANES]
             row[3] = shown[3 * ROWS_LANES]
@@ -1109,6 +1178,9 @@ def fill_whole_rows(b: Block, t: Block, times: Block, first: int, end: int, rows
             row[6] = shown[4 * ROWS_LANES]
             row[7] = shown[5 * ROWS_LANES]
             row[8] = shown[5 * ROWS_LANES] * b[RATED]
+            if b[DENSITY] > 0.0:
+                row[9] = shown[6 * ROWS_LANES]
+                row[10] = shown[7 * ROWS_LANES]
 
 
 def end_step(b: Block, t: Block, ends: int, events: Block, room: int) -> None:
@@ -1128,9 +1200,58 @@ def end_step(b: Block, t: Block, ends: int, events: Block, room: int) -> None:
         place_curve(b, t, b[CURVE_INDEX] - 1.0)
     elif b[CURVE] > 0.0 and ends - FLAGGED == b[HIGH_GUARD]:
         place_curve(b, t, b[CURVE_INDEX] + 1.0)
+    elif ends == FLOW_SWITCHED:
+        switch_flow(b, events, room)
     else:
         b[FLAG + ends - FLAGGED] = 1.0 - b[FLAG + ends - FLAGGED]
+    b[GAS_KNOWN] = 0.0
     arrive(b, t)
+
+
+def switch_flow(b: Block, events: Block, room: int) -> None:
+    """The flow of gas became choked or subsonic, or turned round."""
+    before = b[REGIME]
+    b[REGIME] = b[REGIME_AHEAD]
+    kind = FLOW_SUBSONIC
+    if b[REGIME] * before < 0.0:
+        kind = FLOW_REVERSED
+    elif abs(b[REGIME]) > 1.5:
+        kind = FLOW_CHOKED
+    log_event(b, events, room, kind, b[V])
+
+
+def start_gas(b: Block, t: Block) -> None:
+    """Put the declared gas into the outlet of a valve at rest, and the declared pressures at both ends."""
+    b[TANK] = b[DECLARED_TANK]
+    b[TANK_RATE] = 0.0
+    b[TANK_TIME] = b[TIME]
+    b[DEMAND] = b[DECLARED_DEMAND]
+    b[int(b[DENSITY])] = b[FIRST_DENSITY]
+    set_tangents(b, t, TANK, DECLARED_TANK, 1.0)
+    set_tangents(b, t, DEMAND, DECLARED_DEMAND, 1.0)
+    set_tangents(b, t, int(b[DENSITY]), FIRST_DENSITY, 1.0)
+
+
+def settle_flow(b: Block, t: Block) -> None:
+    """Decide afresh what the flow of gas does at the state, of a valve whose pressures are set."""
+    rest_at(b, t)
+    b[REGIME] = 0.0
+    b[REGIME] = regime_at(b, t, 0.0, 0.0, 0.0)
+
+
+def supply(b: Block, t: Block, change: Block) -> None:
+    """Pressures change now: of the tank, Pa, and its rate, Pa/s, and behind the demand, Pa; NaN where one does not."""
+    b[GAS_KNOWN] = 0.0
+    if change[0] == change[0]:
+        b[TANK] = change[0]
+        b[TANK_RATE] = change[1]
+        b[TANK_TIME] = b[TIME]
+        set_tangents(b, t, TANK, TANK, 0.0)
+        set_tangents(b, t, TANK_TIME, DELTA, 1.0)
+    if change[2] == change[2]:
+        b[DEMAND] = change[2]
+        set_tangents(b, t, DEMAND, DEMAND, 0.0)
+    b[PENDING] = 0.0
 
 
 def run(
@@ -1145,12 +1266,14 @@ def run(
         end: s. cuts: whether to stop exactly there, before a command, or at the last whole step.
         most: steps, after which the run ends with an error.
         times: s, ascending, of `count` samples. rows: what they show, `columns` numbers each: 1, the pilot plunger as
-            shown, or ROW_COLUMNS.
-        current_times: s, ascending, of `current_count` samples of the current u, unless whole rows are asked for.
-        slopes, current_slopes: with derivatives, those of the pilot plunger and of u: (samples, directions).
+            shown, or ROW_COLUMNS, or GAS_COLUMNS of a valve with gas.
+        current_times: s, ascending, of `current_count` samples of the current u, and with gas of the outlet's pressure,
+            Pa, in turn, unless whole rows are asked for.
+        slopes, current_slopes: with derivatives, those of the pilot plunger and of u: (samples, directions); with gas
+            (samples, 2, directions) of u and the pressure.
         events: four numbers each, time, kind, position and the velocity before, for `room` of them.
     """
-    others = count if columns == ROW_COLUMNS else current_count
+    others = count if columns > 1 else current_count
     for _ in range(most):
         if b[PENDING] == 0.0:
             if b[TIME] >= end and b[SAMPLED] >= count and b[SAMPLED_ROWS] >= others:
@@ -1170,9 +1293,7 @@ def run(
         if following > end:
             if cuts:
                 if end > b[TIME]:
-                    b[ELAPSED] = end - b[TIME]
-                    invoke(b[AT], b, t)
-                    commit(b, t, end)
+                    cut(b, t, end)
                 b[PENDING] = 0.0
             return FINISHED
         b[CHATTER] = b[CHATTER] + 1.0 if b[STEP] < SHORTEST_PROGRESS else 0.0
@@ -1182,7 +1303,21 @@ def run(
         commit(b, t, following)
         if ends != NO_EVENT:
             end_step(b, t, ends, events, room)
+        elif b[DENSITY] > 0.0:
+            know_rate(b, t)
     return TOO_MANY_STEPS
+
+
+def cut(b: Block, t: Block, end: float) -> None:
+    """End the step that is under way at a time, s, before a command; with gas it is made anew, to be as exact."""
+    if b[DENSITY] > 0.0:
+        take_gas_step(b, t, end - b[TIME])
+        finish_gas_step(b, t)
+        b[GAS_KNOWN] = 0.0
+    else:
+        b[ELAPSED] = end - b[TIME]
+        invoke(b[AT], b, t)
+    commit(b, t, end)
 
 
 def drive(
@@ -1193,11 +1328,15 @@ def drive(
     """Step a valve through a whole drive; arguments as for `run`.
 
     Args:
-        commands: two numbers each: s, V. moves: with derivatives, those of the same: (commands, 2, directions).
+        commands: CHANGES numbers each: s, V, and of a valve with gas Pa of the tank, Pa/s, and Pa behind the demand,
+            see `supply`; NaN where something does not change. What is before the state's time was so from the start.
+        moves: with derivatives, those of time and voltage: (commands, 2, directions).
     """
     width = int(b[WIDTH])
     for command in range(command_count):
-        when = commands[2 * command]
+        change = commands[CHANGES * command :]
+        when = change[0]
+        is_new = when >= b[TIME]
         if when > end:
             break
         outcome = run(
@@ -1206,13 +1345,19 @@ def drive(
         )  # fmt: skip
         if outcome != FINISHED:
             return outcome
-        change = moves[2 * command * width :]
+        own = moves[2 * command * width :]
         for k in range(width):
-            t[VOLTS * width + k] = change[width + k]
-            t[DELTA * width + k] = change[k]
-        leave(b, t, NO_EVENT)
-        set_voltage(b, t, commands[2 * command + 1])
-        arrive(b, t)
+            t[DELTA * width + k] = own[k]
+        if is_new:
+            leave(b, t, NO_EVENT)
+        if change[1] == change[1]:
+            for k in range(width):
+                t[VOLTS * width + k] = own[width + k]
+            set_voltage(b, t, change[1])
+        if b[DENSITY] > 0.0:
+            supply(b, t, change[2:])
+        if is_new:
+            arrive(b, t)
     return run(
         b, t, end, False, most, times, count, rows, columns, slopes, current_times, current_count, currents,
         current_slopes, events, room,
@@ -1251,7 +1396,12 @@ def start(b: Block, t: Block, blank: Block, numbers: Block, count: int, time: fl
     b[UNSEATED_TIME] = time
     invoke(b[PREPARE], b, t)
     b[ONE_PLUNGER] = 1.0 if b[GAP] == 0.0 else 0.0
+    if b[DENSITY] > 0.0:
+        b[CHANGED] = time
+        start_gas(b, t)
     enter(b, t)
+    if b[DENSITY] > 0.0:
+        settle_flow(b, t)
 
 
 def whole(
@@ -1266,13 +1416,14 @@ def whole(
     """
     start(memory, memory, blank, numbers, number_count, time)
     memory[TOLERANCE] = tolerance
-    rows = memory_count - ROW_COLUMNS * count
+    columns = GAS_COLUMNS if memory[DENSITY] > 0.0 else ROW_COLUMNS
+    rows = memory_count - columns * count
     room = (rows - SIZE) // 4
     if not (0.0 <= memory[GAP] < memory[STROKE]):
         return NO_TRAVEL
     most = int(MOST_STEPS * (1.0 + min(max(0.0, end - time), LONGEST_RUN)))
     return drive(
-        memory, memory, commands, command_doubles // 2, end, most, times, count, memory[rows:], ROW_COLUMNS,
+        memory, memory, commands, command_doubles // CHANGES, end, most, times, count, memory[rows:], columns,
         memory, times, 0, memory, memory, memory, memory[SIZE:], room,
     )  # fmt: skip
 
@@ -1311,6 +1462,9 @@ def read(b: Block, t: Block, time: float, row: Block) -> None:
     row[6] = b[TERMINAL]
     row[7] = b[CURRENT]
     row[8] = b[CURRENT] * b[RATED]
+    if b[DENSITY] > 0.0:
+        row[9] = b[OUTLET]
+        row[10] = b[MASS_FLOW]
 
 
 def advance(b: Block, time: float) -> int:
@@ -1320,7 +1474,7 @@ def advance(b: Block, time: float) -> int:
         b: its block; behind it a row of output, and room for LIVE_EVENTS events, of which COUNT have been counted.
     """
     row = b[SIZE:]
-    events = b[SIZE + ROW_COLUMNS :]
+    events = b[SIZE + GAS_COLUMNS :]
     outcome = run(b, b, time, False, LIVE_STEPS, row, 0, row, 1, row, row, 0, row, row, events, LIVE_EVENTS)
     if outcome == FINISHED and b[PENDING] == 0.0:
         b[ENDS] = step(b, b)
@@ -1335,7 +1489,7 @@ def advance(b: Block, time: float) -> int:
 def halt(b: Block, time: float) -> int:
     """Step a live valve exactly to a time, s; returns an Outcome."""
     row = b[SIZE:]
-    events = b[SIZE + ROW_COLUMNS :]
+    events = b[SIZE + GAS_COLUMNS :]
     return run(b, b, time, True, LIVE_STEPS, row, 0, row, 1, row, row, 0, row, row, events, LIVE_EVENTS)
 
 
@@ -1347,6 +1501,11 @@ def command(b: Block, time: float, volts: float) -> int:
         return outcome
     set_voltage(b, b, volts)
     return advance(b, when)
+
+
+def set_pressures(b: Block, change: Block) -> None:
+    """Change the pressures at both ends of a live valve with gas at its state's time, see `supply`."""
+    supply(b, b, change)
 
 
 def settle(b: Block) -> None:
@@ -1371,12 +1530,13 @@ def settle(b: Block) -> None:
 
 
 FUNCTIONS: Final = (
-    enter, whole_below, place_curve, set_cubic, contact_ahead, value_at, slope_at, bound, first_fall, shift, root,
-    step, settle_coil, first_event, first_of_motion, first_of_rest, extent, balance, commit, divided, leave, arrive,
-    move_tangents, set_tangents, rescale_velocity, unseat, log_event, come_to_rest, set_off, push_now, move_off,
-    touch, touch_seat, touch_gap, turn_round, block_diode, close_circuit, set_voltage, lag_moments, lagged,
-    lag_tangents, before, shown_pilot, shown_main, fill, fill_others, fill_slopes, fill_positions, fill_sloped_currents,
-    fill_currents, fill_whole_rows, end_step, run, drive, renumber, start, whole, batch, read, advance, halt,
-    command, settle,
+    *polynomials.FUNCTIONS, *gas_steps.FUNCTIONS, enter, whole_below, place_curve, set_cubic, contact_ahead, step,
+    settle_coil, step_with_gas, first_with_gas, happened_by, polish_gas_step, look_at_end, first_event, first_of_motion,
+    first_of_rest, balance, commit, divided, leave, arrive, move_tangents, set_tangents, rescale_velocity, unseat,
+    log_event, come_to_rest, set_off, push_now, move_off, touch, touch_seat, touch_gap, turn_round, block_diode,
+    close_circuit, set_voltage, lag_moments, lagged, lag_tangents, before, shown_pilot, shown_main, fill, fill_others,
+    fill_slopes, fill_positions, fill_sloped_currents, fill_currents, fill_whole_rows, end_step, switch_flow, start_gas,
+    settle_flow, supply, run, cut, drive, renumber, start, whole, batch, read, advance, halt, command, set_pressures,
+    settle,
 )  # fmt: skip
 """The functions that `lowering` compiles."""

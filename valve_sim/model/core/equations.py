@@ -29,11 +29,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
+from valve_sim.model.core.gas import NUMBERS, PREFIX, Gas, closing_force, gas_of
 from valve_sim.model.core.symbols import Effect, Motion, Own
 from valve_sim.model.core.tracer import (
     Condition,
     Node,
     Trace,
+    ancestors,
     derivative,
     exp,
     maximum,
@@ -62,6 +64,7 @@ NEUTRAL: Final = {
     "drive_gain": 1.0, "eddy_time_constant": 0.0, "temperature_rate": 0.0, "cooling_time_constant": 1.0,
     "motional_share": 0.0, "residual_current": 0.0, "restitution_stop": 0.0, "restitution_seat": 0.0,
     "stop_compliance": 0.0, "sensor_delay": 0.0, "sensor_time_constant": 0.0, "sensor_gain": 1.0,
+    "leak_area": 0.0, "clogging_ratio": 1.0,
 }  # fmt: skip
 """Numbers of the equations that are not declared, and their values while no effect changes them."""
 
@@ -96,6 +99,8 @@ class System:
         peak: the largest |u| after a step; None where nothing asks for it.
         attraction: (2), N. terminal: V at the terminals.
         flux_slope: φ_w; None where the coil does not follow its flux.
+        gas: what flows through the valve; None without gas. closing: its force, (G5), N.
+        reads_time: whether a force changes with time while nothing else does.
         numbers: numbers of the valve after its effects, by name.
         parameters: the names of the numbers that a valve gives: declared ones, and "effect.parameter".
         is_checked: whether a series of these equations must be compared with them.
@@ -113,17 +118,28 @@ class System:
     attraction: Any = None
     terminal: Any = None
     flux_slope: Any = None
+    gas: Gas | None = None
+    closing: Any = None
+    reads_time: bool = False
     numbers: dict[str, Node] = field(default_factory=dict)
     parameters: tuple[str, ...] = ()
     is_checked: bool = False
 
 
-def build(effects: Sequence[Effect], *, shapes: Sequence[float] = (), freewheels: bool = False) -> System:
+def build(
+    effects: Sequence[Effect],
+    *,
+    shapes: Sequence[float] = (),
+    freewheels: bool = False,
+    has_gas: bool = False,
+    has_demand: bool = False,
+) -> System:
     """The equations of a valve.
 
     Args:
         effects: what it has. shapes: values of the parameters that shape these, in their order.
         freewheels: whether its current may freewheel, (C5), and its sign must be watched.
+        has_gas: whether gas flows through it. has_demand: whether gas leaves its outlet volume.
     """
     trace = Trace()
     system = System(trace)
@@ -133,6 +149,7 @@ def build(effects: Sequence[Effect], *, shapes: Sequence[float] = (), freewheels
         owns[effect.name] = Own(**{**nodes, **{name: trace.constant(next(given)) for name in effect.shapes}})
     numbers = {name: trace.number(name) for name in DECLARED}
     numbers.update({name: trace.constant(value) for name, value in NEUTRAL.items()})
+    numbers.update({name: trace.number(f"{PREFIX}{name}") for name in NUMBERS if has_gas})
     for effect in effects:
         for name, change in effect.changes.items():
             numbers[name] = trace.lift(change(numbers[name], owns[effect.name]))
@@ -159,7 +176,12 @@ def build(effects: Sequence[Effect], *, shapes: Sequence[float] = (), freewheels
     square = _square(pulling, on)
 
     motion = Motion(x, v, u, w, t, since, direction, trace.number("lifted") > 0.5, beyond, p)
-    system.net = net_force(motion, square, on)
+    system.reads_time = t in ancestors([net_force(motion, square, on, None)])
+    if has_gas:
+        system.gas = gas = gas_of(motion, has_demand=has_demand)
+        system.states["density"] = State(gas.rate)
+        system.closing = closing_force(motion, gas)
+    system.net = net_force(motion, square, on, system.gas)
     friction = direction * _friction(motion, on)
     mass = where(motion.lifted, p.moving_mass, p.pilot_mass)
     system.acceleration = (system.net - friction) / mass
@@ -171,6 +193,7 @@ def build(effects: Sequence[Effect], *, shapes: Sequence[float] = (), freewheels
     system.attraction = attraction(p, x, square)
     system.numbers = numbers
     system.parameters = (*DECLARED, *(f"{effect.name}.{name}" for effect in effects for name in effect.names))
+    system.parameters += tuple(f"{PREFIX}{name}" for name in NUMBERS if has_gas)
     system.is_checked = any(
         node.op in ("exp", "log", "power", "sin", "cos", "tanh") and _varies_with_motion(node) for node in trace.nodes
     )
@@ -187,8 +210,8 @@ def work_of_attraction(p: Own, x: Node) -> Node:
     return polynomial(x, 0.0, p.a0, p.a1 / 2.0, p.a2 / 3.0, p.a3 / 4.0)
 
 
-def net_force(m: Motion, square: Node, on: Sequence[tuple[Effect, Own]]) -> Node:
-    """Right-hand sides of (3) and (4) with (5), N; the dry friction of (6) is the caller's.
+def net_force(m: Motion, square: Node, on: Sequence[tuple[Effect, Own]], gas: Gas | None) -> Node:
+    """Right-hand sides of (3) and (4) with (5) and (G5), N; the dry friction of (6) is the caller's.
 
     What waits longest in a series is added last: the attraction is known before the velocity.
     """
@@ -200,6 +223,8 @@ def net_force(m: Motion, square: Node, on: Sequence[tuple[Effect, Own]]) -> Node
     for effect, own in on:
         if effect.force is not None:
             force = force + effect.force(m, own)
+    if gas is not None:
+        force = force - closing_force(m, gas)
     return force - rate * m.x - damping * m.v
 
 
@@ -232,7 +257,7 @@ def _at_rest(system: System, motion: Motion, square: Node, on: Sequence[tuple[Ef
         if way > 0.0:
             on_seat = trace.number("on seat")
             held = maximum(held, SEAT_HOLDS * trace.number("closed")) + on_seat * p.seat_load
-        return way * net_force(m, square, on) - held
+        return way * net_force(m, square, on, system.gas) - held
 
     system.up = where(trace.number("may rise") > 0.5, net(1.0, trace.number("lifted up") > 0.5), -1.0)
     system.down = where(trace.number("may fall") > 0.5, net(-1.0, trace.number("lifted down") > 0.5), -1.0)

@@ -11,6 +11,15 @@
     place     where a curve of splines is read
     decide    which comparisons of the equations hold at the state
 
+A valve with gas is stepped by `gas_steps`; in place of move and rest it has
+
+    flow      rate of the density at a stage, and its slope
+    stage     rates of all other states there
+    bend      the rate of the density's rate there
+    watch     what must not become negative, and the pressures, at some time within the step
+
+of which the first three stand for `flow_slopes`, `stage_slopes` and `bend_slopes`, too, with tangents if any are asked.
+
 With directions of derivatives each carries the tangents of what it computes along.
 """
 
@@ -41,9 +50,14 @@ NOT_COMPARED: Final = 3
 """Places among what is held that are of no comparison: velocity, or forces upwards and downwards; and the current."""
 CHECKED_AT: Final = (0.5, 1.0)
 """Fractions of a step at which its series is compared with the equation."""
-DYNAMIC: Final = ("unseated_time", "seen", "peak", *(f"curve {power}" for power in range(4)))
+DYNAMIC: Final = (
+    "unseated_time", "seen", "peak", "tank", "tank time", "demand", *(f"curve {power}" for power in range(4)),
+)  # fmt: skip
 """Numbers that events change, and their tangents with them."""
-NAMES: Final = ("move", "rest", "at", "spot", "row", "rows", "look", "place", "decide", "prepare")
+OF_TAYLOR: Final = ("move", "rest")
+OF_GAS: Final = ("flow", "stage", "bend", "watch", "flow_slopes", "stage_slopes", "bend_slopes")
+OF_BOTH: Final = ("at", "spot", "row", "rows", "look", "place", "decide", "prepare")
+NAMES: Final = (*OF_TAYLOR, *OF_GAS, *OF_BOTH)
 
 
 class Kernels:
@@ -71,6 +85,7 @@ class Kernels:
                 self._seeds[trace.number(name)] = trace.number(f"d {name}")
         self._guards = trace.guards()
         self._flags = {guard: at.FLAG + i for i, guard in enumerate(self._guards)}
+        self.made = (*(OF_TAYLOR if system.gas is None else OF_GAS), *OF_BOTH)
         self._moving_rates = self._with_tangents({"x": self._v, "v": system.acceleration, **self._coil})
         self._resting_rates = self._with_tangents(self._coil)
 
@@ -90,7 +105,7 @@ class Kernels:
 
     def text(self) -> str:
         """All kernels, as text of LLVM."""
-        codes = {name: getattr(self, f"_{name}")() for name in NAMES}
+        codes = {name: getattr(self, f"_{name}")() for name in self.made}
         declared = sorted(set().union(*(code.declared for code in codes.values())))
         return "\n".join([*declared, *(code.function(name) for name, code in codes.items())])
 
@@ -119,7 +134,11 @@ class Kernels:
         series = self._series(code, {}, {})
         numbers = self.system.numbers
         nodes["rated"] = numbers["reference_voltage"] / numbers["coil_resistance"]
-        self._store_all(code, series, nodes, {**at.OF_VALVE, "rated": at.RATED})
+        if self.system.gas is not None:
+            nodes |= {name: numbers[name] for name in at.OF_GAS}
+            nodes["first density"] = self.system.gas.first_density
+        slots = {**at.OF_VALVE, **at.OF_GAS, "rated": at.RATED, "first density": at.FIRST_DENSITY}
+        self._store_all(code, series, nodes, slots)
         return code
 
     def _store_all(self, code: Code, series: Series, nodes: Mapping[str, Node], slots: Mapping[str, int]) -> None:
@@ -418,12 +437,27 @@ class Kernels:
             (rate,) = self._current_rate()
             code.store(at.CURRENT_RATE, code.constant(0.0) if rate is None else there.value(rate))
         self._store_all(code, there, {"current": system.current}, {"current": at.CURRENT})
+        if system.gas is not None:
+            self._store_all(code, there, {"outlet": system.gas.outlet}, {"outlet": at.OUTLET})
+            density = self.system.trace.state("density")
+            (slope,) = derivative([system.gas.outlet], {density: system.trace.constant(1.0)})
+            assert slope is not None
+            code.store(at.OUTLET_RATE, code.mul(there.value(slope), self._slope_of(code, "density", elapsed)))
+            code.store(at.MASS_FLOW, there.value(system.gas.flow))
         return code
+
+    def _slope_of(self, code: Code, name: str, h: Value) -> Value:
+        """The rate of a state at a time within the step, from its polynomial."""
+        first = at.SERIES_COIL + self.names.index(name) * at.TERMS
+        c = [code.mul(code.load(first + k), code.constant(float(k))) for k in range(1, at.TERMS)]
+        return self._polynomial(code, c, self._powers(code, h, at.TERMS))
 
     def _rows(self) -> Code:
         code = Code(at.ROWS_LANES, exact=True)
         shown, there = self._shown(code, code.load_lanes(at.ROWS))
-        for place, value in enumerate((*shown, there.value(self.system.current)), 1):
+        gas = self.system.gas
+        of_gas = () if gas is None else (there.value(gas.outlet), there.value(gas.flow))
+        for place, value in enumerate((*shown, there.value(self.system.current), *of_gas), 1):
             code.store(at.ROWS + place * at.ROWS_LANES, value)
         return code
 
@@ -451,8 +485,102 @@ class Kernels:
             at.CURRENT_RATE: current_rate, at.PULL: system.attraction, at.TERMINAL: system.terminal,
             **{at.COIL_RATES + place: rate for place, rate in enumerate(self._coil.values())},
         }  # fmt: skip
+        if system.gas is not None:
+            values[at.CLOSING] = system.closing
         for slot, node in values.items():
             code.store(slot, series.value(zero if node is None else node))
+        return code
+
+    def _at_stage(self, code: Code) -> Series:
+        """Everything at a stage of a step of a valve with gas: what is integrated stands where the step's end will."""
+        elapsed, states = code.load(at.ELAPSED), dict[str, Value]()
+        for slot, name in enumerate(("x", "v", *self.names)):
+            if name in self.system.states and self.system.states[name].after is not None:
+                states.update(self._closed(code, name, elapsed))
+                continue
+            states[name] = code.load(at.END + slot)
+            if code.width:
+                states[f"d {name}"] = code.load(at.END + slot, wide=True)
+        return self._series(code, states, {}, clock=elapsed)
+
+    def _flow(self) -> Code:
+        return self._flow_of(Code())
+
+    def _flow_slopes(self) -> Code:
+        return self._flow_of(self._code())
+
+    def _flow_of(self, code: Code) -> Code:
+        gas, series = self.system.gas, self._at_stage(code)
+        assert gas is not None
+        trace = self.system.trace
+        (slope,) = derivative([gas.rate], {trace.state("density"): trace.constant(1.0)})
+        nodes = {
+            at.FLOW_RATE: gas.rate, at.FLOW_SLOPE: slope, at.INLET_DENSITY: gas.density_of_inlet,
+            at.DEMAND_DENSITY: gas.density_of_demand,
+        }  # fmt: skip
+        for slot, node in nodes.items():
+            if node is not None:
+                code.store(slot, series.value(node))
+        self._store_tangents(code, series, {at.FLOW_RATE: gas.rate})
+        return code
+
+    def _stage(self) -> Code:
+        return self._stage_of(Code())
+
+    def _stage_slopes(self) -> Code:
+        return self._stage_of(self._code())
+
+    def _stage_of(self, code: Code) -> Code:
+        series = self._at_stage(code)
+        nodes = {at.STAGE_RATES + 1: self.system.acceleration}
+        for place, (name, state) in enumerate(self.system.states.items()):
+            if state.after is None and name != "density":
+                nodes[at.STAGE_RATES + 2 + place] = state.rate
+        for slot, node in nodes.items():
+            code.store(slot, series.value(node))
+        self._store_tangents(code, series, nodes)
+        return code
+
+    def _bend(self) -> Code:
+        return self._bend_of(Code())
+
+    def _bend_slopes(self) -> Code:
+        return self._bend_of(self._code())
+
+    def _bend_of(self, code: Code) -> Code:
+        trace, gas = self.system.trace, self.system.gas
+        assert gas is not None
+        along = {trace.state("density"): gas.rate, self._x: self._v, trace.clock(): trace.constant(1.0)}
+        (bend,) = derivative([gas.rate], along)
+        assert bend is not None
+        series = self._at_stage(code)
+        code.store(at.BENT, series.value(bend))
+        self._store_tangents(code, series, {at.BENT: bend})
+        return code
+
+    def _store_tangents(self, code: Code, series: Series, nodes: Mapping[int, Node]) -> None:
+        """Store tangents of nodes by their slots, if the code has any."""
+        if code.width:
+            for slot, slope in zip(nodes, derivative(nodes.values(), self._seeds), strict=True):
+                code.store(slot, code.constant(0.0) if slope is None else series.value(slope), wide=True)
+
+    def _watch(self) -> Code:
+        code, system = Code(), self.system
+        elapsed = code.load(at.ELAPSED)
+        states, _ = self._states_at(code, elapsed)
+        moves = system.acceleration * system.trace.number("moving")
+        there = self._series(code, states, {"x": self._v, "v": moves, **self._coil}, clock=elapsed)
+        left = code.constant(1.0) if system.current_left is None else there.value(system.current_left)
+        watched = [code.neg(there.value(system.up)), code.neg(there.value(system.down)), left]
+        for guard in self._guards:
+            excess = there.value(guard)
+            watched.append(code.select(there.condition(guard), excess, code.neg(excess)))
+        for place, value in enumerate(watched):
+            code.store(at.GUARD + place, value)
+        gas = system.gas
+        assert gas is not None
+        for slot, node in {at.INLET: gas.inlet, at.OUTLET: gas.outlet, at.CRITICAL: gas.critical}.items():
+            code.store(slot, there.value(node))
         return code
 
     def _place(self) -> Code:

@@ -59,7 +59,29 @@ the four coefficients of its cubic there."""
 NUMBER_COUNT, WARM = 111, 112
 """How many numbers the valve gives; the place of the temperature among the states of a coil whose currents are
 integrated, as many as there are states where there is none, and −1 of any other coil."""
-SERIES_X: Final = 113
+DENSITY, GAS_STEP, GAS_KNOWN, STIFFNESS, CHANGED, REGIME, REGIME_AHEAD, HAS_DEMAND, READS_TIME = range(113, 122)
+"""Of gas: the slot of its density among the states, 0 of a valve without gas; the step to be tried next, s; whether the
+rate of the density at the state is known from the step before; how many times the gas relaxed in the last step; time of
+the last command, s; of the flow, 2 choked, 1 subsonic, negative from the outlet to the inlet; and what it will be after
+the event; whether gas leaves the outlet volume; whether forces change with time alone."""
+TANK, TANK_RATE, TANK_TIME, DEMAND = range(122, 126)
+"""Pressure of the tank at a time, Pa, its rate from then on, Pa/s, and that time, s; pressure behind the demand, Pa."""
+DECLARED_TANK, DECLARED_DEMAND, FIRST_DENSITY = range(126, 129)
+"""Pa, Pa, kg/m³: the valve's own, for its start."""
+FLOW_RATE, FLOW_SLOPE, INLET_DENSITY, DEMAND_DENSITY = range(129, 133)
+"""What `flow` fills in: rate of the density, kg/(m³ s), its derivative by the density, 1/s; kg/m³ at both ends."""
+STAGE_RATES: Final = 133
+"""What `stage` fills in: rates of x, v and the states of the coil (seven)."""
+INLET, OUTLET, OUTLET_RATE, CRITICAL, CLOSING, MASS_FLOW = range(140, 146)
+"""Pa, Pa, Pa/s; the ratio of pressures at which the flow chokes; N, (G5); kg/s."""
+FLOW, FLOW_SLOPES, STAGE, STAGE_SLOPES, BEND, BEND_SLOPES, WATCH = range(146, 153)
+"""Addresses of the kernels of gas."""
+LIMIT_START, LIMIT_END = 153, 154
+"""How the rates of the density at both ends of a step enter its polynomial: see `gas_steps.limit`."""
+GAS_RATE, BENT, BENT_START, BENT_END = range(155, 159)
+"""Rate of the density at the end of the last step, kg/(m³ s); its own rate, kg/(m³ s²), as `bend` fills it in, and at
+both ends of a step."""
+SERIES_X: Final = 159
 """ORDER + 1 coefficients of x about the start of the step."""
 SERIES_COIL: Final = SERIES_X + ORDER + 1
 """TERMS coefficients of each state of the coil."""
@@ -71,8 +93,17 @@ SCRATCH: Final = GUARD + (MOST_GUARDS + 3) * TERMS
 """Room for 3 TERMS numbers of the driver."""
 ROWS_LANES: Final = 8
 ROWS: Final = SCRATCH + 3 * TERMS
-"""So many times since the start of a step, s; then as many of each: x, v, attraction, V at the terminals, u."""
-NUMBERS: Final = ROWS + 6 * ROWS_LANES
+"""So many times since the start of a step, s; then as many of each: x, v, attraction, V at the terminals, u, and of gas
+the outlet's pressure and the mass flow."""
+STAGES: Final = 6
+"""Of a step of a valve with gas."""
+GAS_K: Final = ROWS + 8 * ROWS_LANES
+"""Rates of x, v and all other states at each stage, and at the end of the step."""
+WIDE: Final = 2 + MOST_STATES
+"""So many at each."""
+GAS_STAGES: Final = GAS_K + (STAGES + 1) * WIDE
+"""The density at each stage, and at the end, kg/m³."""
+NUMBERS: Final = GAS_STAGES + STAGES + 1
 """The numbers that a valve gives: declared ones and those of its effects."""
 MOST_NUMBERS: Final = 128
 SIZE: Final = NUMBERS + MOST_NUMBERS
@@ -84,6 +115,7 @@ HELD: Final = {
     "curve at": CURVE_INDEX, "curve low": CURVE_LOW, "curve high": CURVE_HIGH,
     **{f"curve {power}": CURVE_C + power for power in range(4)},
     "freewheels": FREEWHEELS, "moving": MOVING, "may rise": MAY_RISE, "may fall": MAY_FALL,
+    "tank": TANK, "tank rate": TANK_RATE, "tank time": TANK_TIME, "demand": DEMAND,
 }  # fmt: skip
 """The slots of what the equations call by these names."""
 OF_VALVE: Final = {
@@ -93,3 +125,9 @@ OF_VALVE: Final = {
     "eddy_time_constant": EDDY,
 }  # fmt: skip
 """The slots of numbers of the valve that the driver reads."""
+OF_GAS: Final = {"inlet_pressure": DECLARED_TANK, "demand_pressure": DECLARED_DEMAND}
+"""Likewise, of a valve with gas."""
+NO_EVENT, CONTACT, TURN, RISE, FALL, CURRENT_GONE, FLAGGED = 0, 1, 2, 3, 4, 5, 6
+"""What ends a step; FLAGGED and more is the comparison of that number."""
+FLOW_SWITCHED: Final = FLAGGED + MOST_GUARDS
+"""Likewise: the flow of gas became choked or subsonic, or turned round."""

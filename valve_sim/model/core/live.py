@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.model.core import layout
-from valve_sim.model.core.driver import LIVE_EVENTS, ROW_COLUMNS
+from valve_sim.model.core.driver import GAS_COLUMNS, LIVE_EVENTS, ROW_COLUMNS
 from valve_sim.model.core.entries import ENTRIES
+from valve_sim.model.core.gas import PREFIX
 from valve_sim.model.core.plan import Plan, entry, method
 from valve_sim.model.core.simulation import check_geometry, check_outcome
 from valve_sim.model.core.valve import Valve
@@ -18,7 +20,7 @@ from valve_sim.model.response import Event
 
 Array = NDArray[np.float64]
 _KINDS: Final = tuple(EventKind)
-_EVENTS_AT: Final = layout.SIZE + ROW_COLUMNS
+_EVENTS_AT: Final = layout.SIZE + GAS_COLUMNS
 
 
 class Live:
@@ -29,7 +31,7 @@ class Live:
 
     Attributes:
         block: parameters and state of the valve, see `layout`.
-        row: the last reading, `driver.ROW_COLUMNS` numbers as of `driver.run`; positions are not delayed.
+        row: the last reading, see `driver.ROW_COLUMNS`; positions are not delayed.
         advance: the raw entry: steps to a time, s, fills `row` and returns an Outcome, 0 if all is well; a tenth of
             the time that `step` takes.
     """
@@ -38,7 +40,8 @@ class Live:
         self.plan = plan
         self._memory = np.zeros(_EVENTS_AT + 4 * LIVE_EVENTS)
         self._memory[: layout.SIZE] = block
-        self.block, self.row = self._memory[: layout.SIZE], self._memory[layout.SIZE : _EVENTS_AT]
+        columns = GAS_COLUMNS if block[layout.DENSITY] else ROW_COLUMNS
+        self.block, self.row = self._memory[: layout.SIZE], self._memory[layout.SIZE : layout.SIZE + columns]
         self._events = self._memory[_EVENTS_AT:].reshape(LIVE_EVENTS, 4)
         address = self._memory.ctypes.data
         self.advance, self._command, self._halt = (method(name).bound(address) for name in ENTRIES)
@@ -93,6 +96,11 @@ class Live:
         """
         check_outcome(self._command(self.reached, volts))
 
+    def supply(self, tank: float = math.nan, demand: float = math.nan) -> None:
+        """Pressures of the tank, and behind the demand, Pa, from the state's time on; NaN: as before. Of a gas."""
+        change = np.array([tank, 0.0, demand])
+        entry("set_pressures")(self._memory.ctypes.data, change.ctypes.data)
+
     def _taken_events(self) -> tuple[Event, ...]:
         count = min(int(self.block[layout.COUNT]), LIVE_EVENTS)
         self.block[layout.COUNT] = 0.0
@@ -101,8 +109,8 @@ class Live:
     def as_valve(self, valve: Valve, tolerance: float) -> Live:
         """This state, stepped on as another valve.
 
-        Position, velocity and currents go on. Exceptions: plungers beyond a stop that moved inwards are put at the new
-        stop; a coil without inductance takes its new current.
+        Position, velocity, currents and the outlet's pressure go on. Exceptions: plungers beyond a stop that moved
+        inwards are put at the new stop; a coil without inductance takes its new current.
 
         Raises:
             SimulationError: the gap is not inside the stroke.
@@ -111,12 +119,17 @@ class Live:
         block = plan.block(valve.numbers(), tolerance, self.reached)
         check_geometry(block)
         check_outcome(self.advance(self.reached))
+        if before[layout.DENSITY]:
+            self._go_on_with_gas(plan, block)
         for slot in _KEPT:
             block[slot] = before[slot]
         block[layout.COUNT] = before[layout.COUNT]
         held = dict(zip(self.plan.states, before[layout.COIL :].tolist(), strict=False))
         current = float(self.row[7])
-        states = {"u": current, "w": held.get("w", current), "temperature": held.get("temperature", 0.0)}
+        states = {
+            "u": current, "w": held.get("w", current), "temperature": held.get("temperature", 0.0),
+            "density": float(block[int(block[layout.DENSITY])]),
+        }  # fmt: skip
         for place, name in enumerate(plan.states):
             block[layout.COIL + place] = states[name]
         if not before[layout.SENSOR_LAG]:
@@ -128,6 +141,25 @@ class Live:
         found = Live(plan, block)
         found._events[:] = self._events
         return found
+
+    def _go_on_with_gas(self, plan: Plan, block: Array) -> None:
+        """Put the outlet's pressure, and those at both ends unless others are declared, into the block of a valve."""
+        before = self.block
+        outlet, at = float(self.row[ROW_COLUMNS]), layout.NUMBERS + plan.parameters.index(f"{PREFIX}outlet_pressure")
+        same = [plan.parameters.index(f"{PREFIX}{name}") for name in ("gas_constant", "covolume", "inlet_temperature")]
+        there = [self.plan.parameters.index(plan.parameters[place]) for place in same]
+        numbers = block[layout.NUMBERS : layout.NUMBERS + len(plan.parameters)].copy()
+        numbers[at - layout.NUMBERS] = outlet
+        block[:] = plan.block(numbers, float(block[layout.TOLERANCE]), self.reached)
+        if (before[layout.NUMBERS + np.array(there)] == numbers[same]).all():
+            block[int(block[layout.DENSITY])] = before[int(before[layout.DENSITY])]
+        if block[layout.DECLARED_TANK] == before[layout.DECLARED_TANK]:
+            own = slice(layout.TANK, layout.TANK_TIME + 1)
+            block[own] = before[own]
+        if block[layout.DECLARED_DEMAND] == before[layout.DECLARED_DEMAND]:
+            block[layout.DEMAND] = before[layout.DEMAND]
+        for slot in (layout.REGIME, layout.CHANGED, layout.GAS_STEP):
+            block[slot] = before[slot]
 
 
 _KEPT: Final = (

@@ -3,7 +3,8 @@
 They use a small part of Python: doubles, integers, truth values, blocks of doubles that are read and written by index
 or handed on from an index (`b[n:]`), assignments, conditions, loops, and calls of each other. All of it means what
 Python means by it, so that they can also be run, and read, as Python. Types are those of the annotations; a local
-variable has the type of what is first assigned to it. Numbers of the module are constants.
+variable has the type of what is first assigned to it. Numbers of the module are constants, and so are tuples of
+numbers, of which one is read at a time.
 """
 
 from __future__ import annotations
@@ -46,21 +47,32 @@ def lowered(functions: Sequence[Callable[..., Any]], entries: Sequence[str]) -> 
         SyntaxError: a function uses what is not part of the language; the message has its name and line.
     """
     known = {function.__name__: function for function in functions}
-    parts = [_Function(function, known).text(public=function.__name__ in entries) for function in functions]
+    tables: dict[str, tuple[float, ...]] = {}
+    parts = [_Function(function, known, tables).text(public=function.__name__ in entries) for function in functions]
     kinds = {"fmuladd": 3, "pow": 2}
     declared = [f"declare double @llvm.{name}.f64(double)" for name, _ in _FUNCTIONS.values() if name]
     declared += [f"declare double @llvm.{name}.f64({', '.join(['double'] * count)})" for name, count in kinds.items()]
-    return "\n".join([*declared, "declare double @expm1(double)", *parts])
+    constants = [
+        f"@{name} = internal constant [{len(numbers)} x double] ["
+        + ", ".join(f"double {literal(float(number))}" for number in numbers) + "]"
+        for name, numbers in tables.items()
+    ]  # fmt: skip
+    return "\n".join([*declared, "declare double @expm1(double)", *constants, *parts])
 
 
 class _Function:
     """One function that is being lowered."""
 
-    def __init__(self, function: Callable[..., Any], known: Mapping[str, Callable[..., Any]]) -> None:
+    def __init__(
+        self,
+        function: Callable[..., Any],
+        known: Mapping[str, Callable[..., Any]],
+        tables: dict[str, tuple[float, ...]],
+    ) -> None:
         assert isinstance(function, FunctionType)
         tree = ast.parse(textwrap.dedent(inspect.getsource(function))).body[0]
         assert isinstance(tree, ast.FunctionDef)
-        self._tree, self._globals, self._known = tree, function.__globals__, known
+        self._tree, self._globals, self._known, self._tables = tree, function.__globals__, known, tables
         self._name = function.__name__
         self._lines: list[str] = []
         self._places: list[str] = []
@@ -303,6 +315,14 @@ class _Function:
         return self._number(node, getattr(self._globals[ast.unparse(node.value)], node.attr))
 
     def _place(self, block: ast.expr, index: ast.expr) -> Typed:
+        table = self._globals.get(block.id) if isinstance(block, ast.Name) and block.id not in self._locals else None
+        if isinstance(table, tuple):
+            assert isinstance(block, ast.Name)
+            self._tables[block.id] = table
+            kind, offset = f"[{len(table)} x double]", self._cast(self._value(index), "i64")
+            return self._new(
+                f"getelementptr {kind}, {self._pointer(kind)} @{block.id}, i64 0, i64 {offset.text}", POINTER
+            )
         start, offset = self._value(block), self._cast(self._value(index), "i64")
         return self._new(f"getelementptr double, {POINTER} {start.text}, i64 {offset.text}", POINTER)
 
@@ -406,7 +426,7 @@ class _Function:
             return self._new(f"call double @{symbol}(double {self._cast(values[0], 'double').text})", "double")
         if name not in self._known:
             raise self._fail(node, "unknown function")
-        called = _Function(self._known[name], self._known)
+        called = _Function(self._known[name], self._known, self._tables)
         given = ", ".join(
             f"{kind} {self._cast(value, kind).text}" for value, (_, kind) in zip(values, called.arguments, strict=True)
         )

@@ -71,23 +71,47 @@ def folders() -> Iterator[Path]:
         yield Path(chosen)
         return
     cache, home = os.environ.get("XDG_CACHE_HOME", ""), os.environ.get("HOME", "")
-    if Path(cache).is_absolute():
+    if Path(cache).is_absolute():  # else it is to be ignored, says the XDG base directory specification
         yield Path(cache) / "valve_sim"
     elif home:
         yield Path(home) / ".cache" / "valve_sim"
-    yield Path(tempfile.gettempdir()) / f"valve_sim-{os.getuid()}"
+    yield Path(os.environ.get("TMPDIR") or "/tmp") / f"valve_sim-{os.getuid()}"
+
+
+def folder_in_use() -> Path | None:
+    """Where compiled code is kept; None where there is no place that nobody else can write to."""
+    return next((folder for folder in folders() if _usable(folder)), None)
 
 
 def _usable(folder: Path) -> bool:
-    """Whether a folder, made if necessary, is this user's own and nobody else can write to it."""
+    """Whether a folder, made if necessary, is this user's own and nobody else can write to it, or exchange it."""
     if not folder.is_absolute():
         return False
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        status = folder.resolve().stat()
+        whole = folder.resolve()
+        status = whole.stat()
+        is_safe = not any(_others_can_exchange(above.stat()) for above in whole.parents)
     except OSError:
         return False
-    return status.st_uid == os.getuid() and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+    return is_safe and status.st_uid == os.getuid() and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+
+
+def _others_can_exchange(above: os.stat_result) -> bool:
+    """Whether another user, except root, can replace a folder inside this one.
+
+    A group may write here, because many systems give each user a group of their own.
+    """
+    is_foreign = above.st_uid not in (0, os.getuid())
+    return is_foreign or bool(above.st_mode & stat.S_IWOTH and not above.st_mode & stat.S_ISVTX)
+
+
+_SAID: Final[list[Callable[[], None]]] = []
+
+
+def when_compiling(say: Callable[[], None]) -> None:
+    """Call a function once, before something is compiled next."""
+    _SAID.append(say)
 
 
 class Library:
@@ -140,16 +164,22 @@ def library(key: str, text: Callable[[], str]) -> Library:
         text: makes the text, if it has to be compiled.
     """
     name = hashlib.sha256(f"{sources()} {key}".encode()).hexdigest()[:32]
-    kept = next((folder for folder in folders() if _usable(folder)), None)
+    kept = folder_in_use()
     if kept is None:
-        return Library(compiled(text()))
+        return Library(_compiled(text))
     path = kept / f"{name}.o"
     with contextlib.suppress(OSError):
         return Library(path.read_bytes())
-    code = compiled(text())
+    code = _compiled(text)
     with contextlib.suppress(OSError):
         _keep(path, code)
     return Library(code)
+
+
+def _compiled(text: Callable[[], str]) -> bytes:
+    while _SAID:
+        _SAID.pop()()
+    return compiled(text())
 
 
 def _keep(path: Path, code: bytes) -> None:

@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.model.core import driver, entries, layout
+from valve_sim.model.core import driver, entries, gas_steps, layout
 from valve_sim.model.core.entries import ENTRIES, Method
 from valve_sim.model.core.equations import build
 from valve_sim.model.core.kernels import NAMES, Kernels
@@ -24,7 +24,7 @@ from valve_sim.model.errors import ParameterError
 Array = NDArray[np.float64]
 POINTER: Final = ctypes.c_void_p
 _SLOTS: Final = {name: getattr(layout, "ROWS_AT" if name == "rows" else name.upper()) for name in NAMES}
-_ENTRIES: Final = ("drive", "renumber", "start", "batch", "settle", "whole", *ENTRIES)
+_ENTRIES: Final = ("drive", "renumber", "start", "batch", "settle", "set_pressures", "whole", *ENTRIES)
 
 
 def as_double(address: int) -> float:
@@ -48,6 +48,7 @@ def entry(name: str) -> Any:
                   ctypes.c_int64),
         "renumber": (None, *[POINTER] * 4),
         "settle": (None, POINTER),
+        "set_pressures": (None, *[POINTER] * 2),
         "start": (None, *[POINTER] * 4, ctypes.c_int64, ctypes.c_double),
         "batch": (ctypes.c_int64, *[POINTER] * 3, ctypes.c_int64, ctypes.c_int64, ctypes.c_double, POINTER,
                   ctypes.c_int64, ctypes.c_double, ctypes.c_int64, POINTER, ctypes.c_int64, POINTER),
@@ -66,14 +67,21 @@ class Plan:
 
     Args:
         effects: in the order in which they act. shapes: values of the parameters that shape these.
-        freewheels: whether the current may freewheel.
+        freewheels: whether the current may freewheel. has_gas, has_demand: see `equations.build`.
         width: directions of derivatives, to any parameters; 0 for none.
     """
 
     def __init__(
-        self, effects: Sequence[Effect], *, shapes: Sequence[float] = (), freewheels: bool = False, width: int = 0
+        self,
+        effects: Sequence[Effect],
+        *,
+        shapes: Sequence[float] = (),
+        freewheels: bool = False,
+        has_gas: bool = False,
+        has_demand: bool = False,
+        width: int = 0,
     ) -> None:
-        system = build(effects, shapes=shapes, freewheels=freewheels)
+        system = build(effects, shapes=shapes, freewheels=freewheels, has_gas=has_gas, has_demand=has_demand)
         kernels = Kernels(system, width)
         if kernels.guard_count > layout.MOST_GUARDS or len(system.parameters) > layout.MOST_NUMBERS:
             raise ParameterError(
@@ -85,7 +93,7 @@ class Plan:
         self.parameters, self.states = system.parameters, kernels.names
         self._library = library(key, kernels.text)
         blank = np.zeros(layout.SIZE)
-        for name in NAMES:
+        for name in kernels.made:
             blank[_SLOTS[name]] = as_double(self._library.address(name))
         blank[layout.STATES] = len(kernels.names)
         blank[layout.GUARDS] = kernels.guard_count
@@ -94,9 +102,14 @@ class Plan:
         blank[layout.IS_FLUX] = system.flux_slope is not None
         blank[layout.WIDTH] = width
         blank[layout.NUMBER_COUNT] = len(system.parameters)
-        is_integrated = any(state.after is None for state in system.states.values())
+        is_integrated = any(state.after is None for name, state in system.states.items() if name != "density")
         warm = kernels.names.index("temperature") if "temperature" in kernels.names else len(kernels.names)
         blank[layout.WARM] = warm if is_integrated else -1.0
+        if has_gas:
+            blank[layout.DENSITY] = layout.COIL + kernels.names.index("density")
+            blank[layout.HAS_DEMAND] = has_demand
+            blank[layout.READS_TIME] = system.reads_time
+            blank[layout.GAS_STEP] = gas_steps.FIRST_STEP
         if kernels.curve is not None:
             slots = (layout.CURVE, layout.IS_PERIODIC, layout.LOW_GUARD, layout.HIGH_GUARD)
             blank[list(slots)] = kernels.curve
@@ -124,16 +137,23 @@ _LOCK: Final = threading.Lock()
 
 
 def plan_of(
-    effects: tuple[Effect, ...], shapes: tuple[float, ...] = (), freewheels: bool = False, width: int = 0
+    effects: tuple[Effect, ...],
+    shapes: tuple[float, ...] = (),
+    width: int = 0,
+    *,
+    freewheels: bool = False,
+    has_gas: bool = False,
+    has_demand: bool = False,
 ) -> Plan:
     """The plan of a set of effects, made once a process, by one thread at a time.
 
     Whoever keeps a block keeps its plan, too: the block calls code that goes with it.
     """
     with _LOCK:
-        return _kept_plan(effects, shapes, freewheels, width)
+        return _kept_plan(effects, shapes, width, freewheels, has_gas, has_demand)
 
 
 @functools.lru_cache(maxsize=512)
-def _kept_plan(effects: tuple[Effect, ...], shapes: tuple[float, ...], freewheels: bool, width: int) -> Plan:
-    return Plan(effects, shapes=shapes, freewheels=freewheels, width=width)
+def _kept_plan(effects: tuple[Effect, ...], shapes: tuple[float, ...], width: int, *has: bool) -> Plan:
+    freewheels, has_gas, has_demand = has
+    return Plan(effects, shapes=shapes, freewheels=freewheels, has_gas=has_gas, has_demand=has_demand, width=width)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.model.core import layout
-from valve_sim.model.core.driver import ROW_COLUMNS
+from valve_sim.model.core.driver import GAS_COLUMNS, ROW_COLUMNS
 from valve_sim.model.core.plan import Plan, entry
 from valve_sim.model.core.simulation import TOLERANCE, check_geometry, check_outcome, commands_of, most_steps, start_of
 from valve_sim.model.core.valve import Valve
@@ -57,6 +57,19 @@ class Directions:
         nothing = np.zeros((len(names), len(drive.times)))
         return cls(numbers, nothing, nothing, np.zeros(len(names)))
 
+    def among(self, commands: Array) -> Directions:
+        """The same where pressures change among the commands of a drive, on the clock of the samples.
+
+        Args:
+            commands: (c, `driver.CHANGES`), see `simulation.commands_of`.
+        """
+        is_voltage = ~np.isnan(commands[:, 1])
+        late = self.sample_times[:, None]
+        times, volts = np.empty((2, len(late), len(commands)))
+        times[:, is_voltage], volts[:, is_voltage] = self.command_times, self.command_volts
+        times[:, ~is_voltage], volts[:, ~is_voltage] = late, 0.0
+        return Directions(self.numbers, times, volts, self.sample_times)
+
 
 class Shown(NamedTuple):
     """What a run, or a piece of it, shows.
@@ -64,6 +77,7 @@ class Shown(NamedTuple):
     Attributes:
         positions: (n,) m, of the pilot plunger as shown. currents: (c,) normalised current u.
         of_positions: (n, k) m over the unit of each parameter. of_currents: (c, k) likewise.
+        pressures: (p,) Pa, in the outlet of a valve with gas. of_pressures: (p, k) likewise.
         events: (e, 4) those there was room for: s, number of the kind, m, m/s before it.
         event_count: how many there were.
     """
@@ -74,6 +88,8 @@ class Shown(NamedTuple):
     of_currents: Array
     events: Array
     event_count: int
+    pressures: Array
+    of_pressures: Array
 
 
 class _Tile(NamedTuple):
@@ -119,29 +135,32 @@ class Run:
             self._tiles.append(_Tile(plan, block, tangents if width else block, part))
 
     def piece(
-        self, commands: Array, end: float, times: Array, current_times: Array = NO_TIMES, *, first: int = 0,
-        room: int = 0,
+        self, commands: Array, end: float, times: Array, current_times: Array = NO_TIMES,
+        pressure_times: Array = NO_TIMES, *, first: int = 0, room: int = 0,
     ) -> Shown:  # fmt: skip
         """Go on with some commands to a time, s.
 
         Args:
-            commands: (c, 2) s, V: those up to the end. first: number of the first of them among those of the run.
+            commands: (c, `driver.CHANGES`), those up to the end, see `simulation.commands_of`. first: number of the
+                first of them among those of the run.
             end: s; where it is the time of the last command, the valve may be another one from there on.
-            times: (n,) s, ascending, of positions. current_times: (m,) s, of currents. Both up to the end, positions as
-                much later as the sensor shows them late.
+            times: (n,) s, ascending, of positions. current_times, pressure_times: (m,), (p,) s, likewise, of currents
+                and of the outlet's pressure. All up to the end, positions as much later as the sensor shows them late.
             room: for so many events.
 
         Raises:
             SimulationError: the run could not be carried to the end.
         """
-        times, current_times, commands = map(np.ascontiguousarray, (times, current_times, commands))
-        positions, currents, events = np.empty(len(times)), np.empty(len(current_times)), np.empty((room, 4))
-        slopes, of_currents = np.empty((len(times), self._count)), np.empty((len(current_times), self._count))
+        times, commands = np.ascontiguousarray(times), np.ascontiguousarray(commands)
+        others, at_currents, at_pressures = _both(current_times, pressure_times)
+        shown_of = 2 if self._tiles[0].block[layout.DENSITY] else 1
+        positions, seen, events = np.empty(len(times)), np.empty((len(others), shown_of)), np.empty((room, 4))
+        slopes, of_seen = np.empty((len(times), self._count)), np.empty((len(others), shown_of, self._count))
         for _, block, tangents, own in self._tiles:
             width, used = int(block[layout.WIDTH]), own.stop - own.start
             is_whole = used == width == self._count
             shown = slopes if is_whole else np.empty((len(times), width))
-            shown_currents = of_currents if is_whole else np.empty((len(current_times), width))
+            shown_others = of_seen if is_whole else np.empty((len(others), shown_of, width))
             moves = np.zeros((len(commands), 2, width))
             if self._directions is not None:
                 those = slice(first, first + len(commands))
@@ -151,25 +170,29 @@ class Run:
             outcome = entry("drive")(
                 block.ctypes.data, tangents.ctypes.data, commands.ctypes.data, len(commands), end,
                 most_steps(end - block[layout.TIME]), times.ctypes.data, len(times), positions.ctypes.data, 1,
-                shown.ctypes.data, current_times.ctypes.data, len(current_times), currents.ctypes.data,
-                shown_currents.ctypes.data, moves.ctypes.data, events.ctypes.data, room,
+                shown.ctypes.data, others.ctypes.data, len(others), seen.ctypes.data, shown_others.ctypes.data,
+                moves.ctypes.data, events.ctypes.data, room,
             )  # fmt: skip
             check_outcome(outcome)
             if not is_whole:
-                slopes[:, own], of_currents[:, own] = shown[:, :used], shown_currents[:, :used]
+                slopes[:, own], of_seen[..., own] = shown[:, :used], shown_others[..., :used]
         found = int(self._tiles[0].block[layout.COUNT])
-        return Shown(positions, currents, slopes, of_currents, events[: min(found, room)], found)
+        return Shown(
+            positions, seen[at_currents, 0], slopes, of_seen[at_currents, 0], events[: min(found, room)], found,
+            seen[at_pressures, -1], of_seen[at_pressures, -1],
+        )  # fmt: skip
 
     def rows(self, commands: Array, end: float, times: Array, *, room: int = 0) -> tuple[Array, Array, int]:
-        """As `piece`, of a run without derivatives: (n, `driver.ROW_COLUMNS`) whole rows, events and their number."""
+        """As `piece`, of a run without derivatives: whole rows (see `driver.ROW_COLUMNS`), events and their number."""
         (tile,) = self._tiles
         block = tile.block.ctypes.data
         times, commands = np.ascontiguousarray(times), np.ascontiguousarray(commands)
-        rows, events = np.empty((len(times), ROW_COLUMNS)), np.empty((room, 4))
+        columns = GAS_COLUMNS if tile.block[layout.DENSITY] else ROW_COLUMNS
+        rows, events = np.empty((len(times), columns)), np.empty((room, 4))
         tile.block[[layout.COUNT, layout.SAMPLED, layout.SAMPLED_ROWS]] = 0.0
         outcome = entry("drive")(
             block, block, commands.ctypes.data, len(commands), end, most_steps(end - tile.block[layout.TIME]),
-            times.ctypes.data, len(times), rows.ctypes.data, ROW_COLUMNS, block, block, 0, block, block, block,
+            times.ctypes.data, len(times), rows.ctypes.data, columns, block, block, 0, block, block, block,
             events.ctypes.data, room,
         )  # fmt: skip
         check_outcome(outcome)
@@ -197,6 +220,17 @@ class Run:
         """Be again as when it was saved."""
         for tile, block in zip(self._tiles, saved, strict=True):
             tile.block[:] = block
+
+
+def _both(currents: Array, pressures: Array) -> tuple[Array, Any, Any]:
+    """The times of currents and pressures together, s, ascending, and where each of them stand among these."""
+    whole, none = slice(None), slice(0, 0)
+    if not len(pressures):
+        return np.ascontiguousarray(currents), whole, none
+    if not len(currents):
+        return np.ascontiguousarray(pressures), none, whole
+    both = np.union1d(currents, pressures)
+    return both, np.searchsorted(both, currents), np.searchsorted(both, pressures)
 
 
 def width_of(count: int) -> int:

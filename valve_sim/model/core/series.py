@@ -46,6 +46,7 @@ class Series:
         self._flag_slots, self._elapsed, self._decides = flag_slots, clock, decides
         self._known: dict[tuple[int, int], Value | None] = {}
         self._conditions: dict[int, Value] = {}
+        self._chosen: dict[int, Value] = {}
         self._scaled: dict[tuple[int, int], Value | None] = {}
 
     def value(self, node: Node) -> Value:
@@ -240,6 +241,16 @@ class Series:
             return self._code.call("log", self.value(node.args[0]))
         return self._chain(node, 1.0 / node.args[0], order)
 
+    def _log1p(self, node: Node, order: int) -> Value | None:
+        if order == 0:
+            return self._code.library("log1p", self.value(node.args[0]))
+        return self._chain(node, 1.0 / (1.0 + node.args[0]), order)
+
+    def _expm1(self, node: Node, order: int) -> Value | None:
+        if order == 0:
+            return self._code.library("expm1", self.value(node.args[0]))
+        return self._chain(node, 1.0 + node, order)
+
     def _power(self, node: Node, order: int) -> Value | None:
         code, (a,), exponent = self._code, node.args, float(node.payload)  # type: ignore[arg-type]
         if order == 0:
@@ -293,10 +304,21 @@ class Series:
         trial._conditions = {**self._conditions, excess.index: code.compare("ogt", now, zero)}
         return now, trial.coefficient(changing, 1) or zero
 
+    def _choice(self, node: Node, order: int) -> Value | None:
+        excess = node.args[0]
+        if excess.index not in self._chosen:
+            self._chosen[excess.index] = self._code.compare("ogt", self.value(excess), self._code.constant(0.0))
+        return self._selected(node, order, self._chosen[excess.index])
+
     def _pick(self, node: Node, order: int) -> Value | None:
-        excess, a, b = node.args
+        if self.coefficient(node.args[1], order) is None and self.coefficient(node.args[2], order) is None:
+            return None
+        return self._selected(node, order, self.condition(node.args[0]))
+
+    def _selected(self, node: Node, order: int, condition: Value) -> Value | None:
+        _, a, b = node.args
         if_so, if_not = self.coefficient(a, order), self.coefficient(b, order)
         if if_so is None and if_not is None:
             return None
         zero = self._code.constant(0.0)
-        return self._code.select(self.condition(excess), if_so or zero, if_not or zero)
+        return self._code.select(condition, if_so or zero, if_not or zero)

@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from valve_sim.model.core import layout
-from valve_sim.model.core.driver import LONGEST_RUN, MOST_STEPS, ROW_COLUMNS
+from valve_sim.model.core.driver import CHANGES, GAS_COLUMNS, LONGEST_RUN, MOST_STEPS, ROW_COLUMNS
 from valve_sim.model.core.machine import made_once
 from valve_sim.model.core.plan import entry, method
 from valve_sim.model.core.valve import Valve
 from valve_sim.model.core_types import EventKind, Outcome
-from valve_sim.model.drives import Drive
+from valve_sim.model.drives import Drive, Supply
 from valve_sim.model.errors import SimulationError
 from valve_sim.model.response import Event, Response
 
@@ -51,6 +51,7 @@ def simulate(
     *,
     tolerance: float = TOLERANCE,
     start_time: float | None = None,
+    supply: Supply | None = None,
 ) -> Response:
     """The response of a valve at rest to a commanded voltage.
 
@@ -59,6 +60,7 @@ def simulate(
         drive: the commanded voltage.
         sample_times: (n,) s, ascending.
         tolerance: relative error of one step.
+        supply: of a valve with gas: pressures in place of the declared ones.
         start_time: s; the valve rests closed until then. Default: the first command or sample.
 
     Raises:
@@ -66,11 +68,11 @@ def simulate(
     """
     times = np.ascontiguousarray(sample_times, dtype=np.float64)
     start = start_of(drive, times) if start_time is None else start_time
-    plan, count, room = valve.plan(), len(times), EVENT_ROOM
-    numbers, commands = valve.numbers(), commands_of(drive)
+    plan, count, room, columns = valve.plan(), len(times), EVENT_ROOM, columns_of(valve)
+    numbers, commands = valve.numbers(), commands_of(drive, supply, start)
     end = float(times[-1]) if count else -math.inf
     while True:
-        memory = np.empty(layout.SIZE + 4 * room + ROW_COLUMNS * count)
+        memory = np.empty(layout.SIZE + 4 * room + columns * count)
         outcome = _whole()(plan.blank, numbers, commands, times, memory, start, end, tolerance)
         if outcome:
             check_geometry(memory)
@@ -80,14 +82,15 @@ def simulate(
             break
         room = found
     logged = memory[layout.SIZE : layout.SIZE + 4 * found].reshape(-1, 4).tolist()
-    rows = memory[layout.SIZE + 4 * room :].reshape(count, ROW_COLUMNS)
+    rows = memory[layout.SIZE + 4 * room :].reshape(count, columns)
+    outlet, flow = rows[:, ROW_COLUMNS:].T if columns > ROW_COLUMNS else (None, None)
     # A frozen dataclass sets each of its attributes by a call; all of these together take as long as the run.
     response = Response.__new__(Response)
     vars(response).update(
         time=times, pilot_position=rows[:, 0], main_position=rows[:, 1], pilot_velocity=rows[:, 2],
         coil_current=rows[:, 8], attraction=rows[:, 3], phase=rows[:, 4].astype(np.uint8),
         events=tuple([Event(t, _KINDS[int(kind)], x, v) for t, kind, x, v in logged]), coil_voltage=rows[:, 6],
-        has_one_plunger=bool(memory[layout.ONE_PLUNGER]), outlet_pressure=None, mass_flow=None,
+        has_one_plunger=bool(memory[layout.ONE_PLUNGER]), outlet_pressure=outlet, mass_flow=flow,
     )  # fmt: skip
     return response
 
@@ -98,11 +101,24 @@ def _whole() -> Any:
     return method("whole").bound(0)
 
 
-def commands_of(drive: Drive) -> Array:
-    """(c, 2) s and V."""
-    commands = np.empty((len(drive.times), 2))
+def commands_of(drive: Drive, supply: Supply | None = None, start: float = -math.inf) -> Array:
+    """(c, `driver.CHANGES`) s, V, and what changes of pressures, in the order of time.
+
+    Args:
+        drive: the commanded voltage. supply: pressures of a valve with gas, from a start on, s.
+    """
+    commands = np.full((len(drive.times), CHANGES), math.nan)
     commands[:, 0], commands[:, 1] = drive
-    return commands
+    if supply is None:
+        return commands
+    pressures = supply.changes(start)
+    both = np.concatenate([commands, np.insert(pressures, 1, math.nan, axis=1)])
+    return both[np.argsort(both[:, 0], kind="stable")]
+
+
+def columns_of(valve: Valve) -> int:
+    """How many columns a whole row of output has: see `driver.ROW_COLUMNS`."""
+    return ROW_COLUMNS if valve.gas is None else GAS_COLUMNS
 
 
 def check_geometry(block: Array) -> None:

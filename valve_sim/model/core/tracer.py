@@ -257,6 +257,17 @@ def where(condition: Condition, if_so: Expression, if_not: Expression) -> Node:
     return trace.node("pick", excess, a, b)
 
 
+def choice(condition: Condition, if_so: Expression, if_not: Expression) -> Node:
+    """As `where`, of expressions that meet, with their slopes, where they change places: that is no event."""
+    excess = condition.excess
+    a, b = excess.trace.lift(if_so), excess.trace.lift(if_not)
+    if a is b:
+        return a
+    if excess.value is not None:
+        return a if excess.value > 0.0 else b
+    return excess.trace.node("choice", excess, a, b)
+
+
 def maximum(a: Expression, b: Expression) -> Node:
     """The larger of two expressions."""
     a, b = _lifted(a, b)
@@ -283,6 +294,16 @@ def exp(a: Expression) -> Node:
 def log(a: Expression) -> Node:
     """The natural logarithm."""
     return _unary("log", a)
+
+
+def expm1(a: Expression) -> Node:
+    """The exponential function less 1, exact near 0."""
+    return _unary("expm1", a)
+
+
+def log1p(a: Expression) -> Node:
+    """The natural logarithm of 1 + a, exact near 0."""
+    return _unary("log1p", a)
 
 
 def sin(a: Expression) -> Node:
@@ -379,6 +400,28 @@ def evaluate(nodes: Iterable[Node], values: Mapping[str, Any]) -> list[Any]:
     return [known[node] for node in nodes]
 
 
+def pieces_of_curve(curve: Curve, values: Mapping[str, Any]) -> dict[str, Any]:
+    """The numbers of a curve of splines at each of many places, so that it can be evaluated there.
+
+    Args:
+        values: of what its place and its coefficients are made of, by name; places may be arrays.
+    """
+    place, intervals = evaluate([curve.place, curve.intervals], values)
+    count, stem = int(intervals), curve.first.rstrip("0123456789")
+    c = np.array([values[f"{stem}{k}"] for k in range(1, count + (0 if curve.periodic else 3) + 1)])
+    below, last = np.floor(place), count if curve.periodic else count - 1
+    at = below if curve.periodic else np.clip(below, 0, last)
+    first = np.mod(below, count).astype(int) if curve.periodic else at.astype(int)
+    c0, c1, c2, c3 = (c[(first + k) % len(c)] for k in range(4))
+    d1, d2, d3 = 0.5 * (c2 - c0), 0.5 * (c0 - 2.0 * c1 + c2), (c3 - 3.0 * c2 + 3.0 * c1 - c0) / 6.0
+    value, varies = (c0 + 4.0 * c1 + c2) / 6.0, np.ones_like(place)
+    if not curve.periodic:
+        value = np.where(place > count, value + d1 + d2 + d3, value)
+        varies = np.where((place < 0.0) | (place > count), 0.0, 1.0)
+    everywhere = {"curve low": -math.inf, "curve high": math.inf, "curve at": at, "curve 0": value}
+    return everywhere | {f"curve {power}": varies * d for power, d in enumerate((d1, d2, d3), 1)}
+
+
 _EVALUATED: Final[Mapping[str, Any]] = {
     "constant": lambda node: node.value,
     "clock": lambda node: 0.0,
@@ -391,7 +434,11 @@ _EVALUATED: Final[Mapping[str, Any]] = {
     "polynomial": lambda node, a, *c: np.polynomial.polynomial.polyval(a, np.array(c)),
     "rising": lambda node, a, so_far: a - so_far,
     "pick": lambda node, excess, a, b: np.where(np.real(excess) > 0.0, a, b),
-    **{name: lambda node, a, name=name: getattr(np, name)(a) for name in ("exp", "log", "sin", "cos", "tanh")},
+    "choice": lambda node, excess, a, b: np.where(np.real(excess) > 0.0, a, b),
+    **{
+        name: lambda node, a, name=name: getattr(np, name)(a)
+        for name in ("exp", "log", "expm1", "log1p", "sin", "cos", "tanh")
+    },
 }
 """The NumPy function for each operation."""
 
@@ -435,9 +482,9 @@ def _derived(node: Node, known: Mapping[int, Node | None]) -> Node | None:
         return None
     if node.op == "rising":
         return None  # a guard, which is not differentiated: events know what they change
-    if node.op == "pick":
+    if node.op in ("pick", "choice"):
         zero = node.trace.constant(0.0)
-        return node.trace.node("pick", node.args[0], *(zero if slope is None else slope for slope in slopes[1:]))
+        return node.trace.node(node.op, node.args[0], *(zero if slope is None else slope for slope in slopes[1:]))
     if node.op == "polynomial":
         return _derived_polynomial(node, slopes)
     return _sum(
@@ -495,6 +542,8 @@ _PARTS: Final[Mapping[str, Callable[[Node], tuple[_Part, ...]]]] = {
     "div": _parts_of_div,
     "exp": _chained(lambda node, a: node),
     "log": _chained(lambda node, a: 1.0 / a),
+    "expm1": _chained(lambda node, a: 1.0 + node),
+    "log1p": _chained(lambda node, a: 1.0 / (1.0 + a)),
     "sin": _chained(lambda node, a: cos(a)),
     "cos": _chained(lambda node, a: -sin(a)),
     "tanh": _chained(lambda node, a: 1.0 - node * node),

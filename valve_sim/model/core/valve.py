@@ -20,7 +20,7 @@ _CURRENTS: Final = np.geomspace(1e-3, 1e3, 241)
 
 
 class Valve(Protocol):
-    """A valve without gas, as `valve_sim.model.Valve` is one."""
+    """A valve, as `valve_sim.model.Valve` is one."""
 
     @property
     def parameters(self) -> ValveParameters:
@@ -29,6 +29,10 @@ class Valve(Protocol):
     @property
     def effects(self) -> Mapping[str, Mapping[str, float]]:
         """The effects that are on: names to their parameters."""
+
+    @property
+    def gas(self) -> object | None:
+        """What flows through it; None without gas."""
 
     def plan(self, width: int = 0) -> Plan:
         """What is compiled for its effects, with so many directions of derivatives."""

@@ -13,7 +13,7 @@ group `valve_sim.effects`, and what a program registers.
 """
 
 from valve_sim.model.effects.catalogue import CATALOGUE, ENTRY_POINTS, Catalogue, check_effects
-from valve_sim.model.effects.entry import Effect, Severity, Tag, Term, compile_term
+from valve_sim.model.effects.entry import Effect, Severity, Tag, Term
 from valve_sim.model.effects.force_map import (
     FORCE_MAP_COEFFICIENTS,
     FORCE_MAP_VARIABLES,
@@ -21,14 +21,12 @@ from valve_sim.model.effects.force_map import (
     is_damping,
     is_periodic,
 )
-from valve_sim.model.effects.record import VALVE_RECORD, new_record
 
 __all__ = [
     "CATALOGUE",
     "ENTRY_POINTS",
     "FORCE_MAP_COEFFICIENTS",
     "FORCE_MAP_VARIABLES",
-    "VALVE_RECORD",
     "Catalogue",
     "Effect",
     "Severity",
@@ -36,8 +34,6 @@ __all__ = [
     "Term",
     "basis",
     "check_effects",
-    "compile_term",
     "is_damping",
     "is_periodic",
-    "new_record",
 ]

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-from valve_sim.model.compiling import inlined
 from valve_sim.model.core.symbols import Motion, Own
 from valve_sim.model.core.tracer import Node, where
 from valve_sim.model.effects.entry import Effect, Severity, Tag, Values, share
@@ -15,28 +12,6 @@ def _severity(values: Values, declared: Values) -> Severity | None:
     return share(
         max(values["force_opening"], values["force_closing"]), declared["spring_preload"], "the spring preload"
     )
-
-
-def _rewrite(record: Any, values: Values) -> None:
-    record["friction_opening"] += values["force_opening"]
-    record["friction_closing"] += values["force_closing"]
-    record["damping_opening"] += values["damping_opening"]
-    record["damping_closing"] += values["damping_closing"]
-
-
-@inlined
-def damping(p: Any, t: float, motion: Any, coil: Any, condition: Any) -> float:
-    """−c_± v, N, by the direction of motion."""
-    return -(p.damping_opening if condition[1] > 0 else p.damping_closing) * motion[1]  # type: ignore[no-any-return]
-
-
-@inlined
-def damping_slopes(p: Any, g: Any, t: float, motion: Any, coil: Any, condition: Any) -> None:
-    """The derivatives of `damping`."""
-    opens = condition[1] > 0
-    g.v -= p.damping_opening if opens else p.damping_closing
-    g.damping_opening = -motion[1] if opens else 0.0
-    g.damping_closing = 0.0 if opens else -motion[1]
 
 
 def dry_friction(m: Motion, own: Own) -> Node:
@@ -64,10 +39,6 @@ EFFECT = Effect(
     "that the coil makes.",
     what_to_do="Check the direction of lip seals, and whether the plunger tilts while the coil pulls.",
     severity=_severity,
-    rewrite=_rewrite,
-    core_force=damping,
-    core_force_slopes=damping_slopes,
-    fields={"friction_opening": 0.0, "friction_closing": 0.0, "damping_opening": 0.0, "damping_closing": 0.0},
     confused_with=("squeeze_film",),
     tags=(Tag.DISSIPATIVE, Tag.ANY_AXIS),
     force=damping_force,

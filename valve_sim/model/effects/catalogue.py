@@ -19,7 +19,7 @@ ENTRY_POINTS: Final = "valve_sim.effects"
 """Entry-point group in which an installed package names its effects: an `Effect`, or several in a tuple or list."""
 
 
-_OTHER_MODULES: Final = ("catalogue", "entry", "record")
+_OTHER_MODULES: Final = ("catalogue", "entry")
 
 
 @functools.cache
@@ -125,11 +125,6 @@ class Catalogue(Mapping[str, Effect]):
             raise ParameterError(
                 f"{where}: has no expression (force, friction, square, changes, adds_to or a term), so it would change "
                 "nothing"
-            )
-        if effect.fields or effect.core_force is not None or effect.core_pull is not None:
-            raise ParameterError(
-                f"{where}: what a valve with gas is compiled of can only ship with valve_sim; write expressions "
-                "(force, friction, square or changes), or a term"
             )
         self._declared[effect.name] = effect
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from valve_sim.model.core.symbols import replaced
-from valve_sim.model.effects.entry import Effect, Severity, Tag, Values, set_fields
+from valve_sim.model.effects.entry import Effect, Severity, Tag, Values
 from valve_sim.model.parameters import Parameter
 
 
@@ -28,8 +28,6 @@ EFFECT = Effect(
     "stroke.",
     what_to_do="Check duty cycle, supply voltage and cooling, or reduce the voltage once the valve is open.",
     severity=_severity,
-    rewrite=set_fields(temperature_rate="temperature_rate", cooling_time_constant="cooling_time_constant"),
-    fields={"temperature_rate": 0.0, "cooling_time_constant": 1.0},
     tags=(Tag.COIL,),
     changes={
         "temperature_rate": replaced("temperature_rate"),

@@ -2,17 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-from valve_sim.model.effects.entry import Effect, Tag, Values, share_of_preload
+from valve_sim.model.effects.entry import Effect, Tag, share_of_preload
 from valve_sim.model.parameters import Parameter
-
-
-def add_to_friction(record: Any, values: Values) -> None:
-    """Dry friction both ways, (6)."""
-    record["friction_opening"] += values["force"]
-    record["friction_closing"] += values["force"]
-
 
 EFFECT = Effect(
     "coulomb_friction",
@@ -25,8 +16,6 @@ EFFECT = Effect(
     what_to_do="Clean the guide and look for scratches and swollen seals; check that nothing presses the plungers "
     "sideways.",
     severity=share_of_preload("force"),
-    rewrite=add_to_friction,
-    fields={"friction_opening": 0.0, "friction_closing": 0.0},
     confused_with=("stiction", "asymmetric_friction", "squeeze_film"),
     tags=(Tag.DISSIPATIVE, Tag.LIKE_DAMPING, Tag.ANY_AXIS),
     friction=lambda m, own: own.force,

@@ -2,18 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from valve_sim.model.core.symbols import replaced
 from valve_sim.model.effects.entry import Effect, Severity, Tag, Values
 from valve_sim.model.parameters import Parameter
-
-
-def _rewrite(record: Any, values: Values) -> None:
-    # u = gain · V / V_ref, and i = u · V_ref / R with the declared V_ref / R: a resistance R / gain does both.
-    record["reference_voltage"] /= values["gain"]
-    record["coil_resistance"] /= values["gain"]
-    record["drive_gain"] = values["gain"]
 
 
 def _severity(values: Values, declared: Values) -> Severity | None:
@@ -30,8 +21,6 @@ EFFECT = Effect(
     "harness, another coil, a warm coil, or a driver that is off.",
     what_to_do="Measure the coil's resistance at its connector and the voltage there while the valve is held open.",
     severity=_severity,
-    rewrite=_rewrite,
-    fields={"drive_gain": 1.0},
     confused_with=("rest_attraction", "magnetic_saturation", "coil_heating"),
     tags=(Tag.COIL,),
     changes={"drive_gain": replaced("gain")},

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from valve_sim.model.core.symbols import replaced
-from valve_sim.model.effects.entry import Effect, Severity, Tag, Values, set_fields, share
+from valve_sim.model.effects.entry import Effect, Severity, Tag, Values, share
 from valve_sim.model.parameters import Parameter
 
 
@@ -21,8 +21,6 @@ EFFECT = Effect(
     "back.",
     what_to_do="It belongs to a solid core and needs no repair; declare it, and check the iron's grade if it is new.",
     severity=_severity,
-    rewrite=set_fields(eddy_time_constant="time_constant"),
-    fields={"eddy_time_constant": 0.0},
     confused_with=("coil_lag", "residual_magnetism"),
     tags=(Tag.COIL,),
     changes={"eddy_time_constant": replaced("time_constant")},

@@ -1,33 +1,19 @@
-"""What an entry of the catalogue says about its effect, and how its force term is compiled."""
+"""What an entry of the catalogue says about its effect."""
 
 from __future__ import annotations
 
-import dis
 import enum
-import functools
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
 
-from numba import carray, types  # type: ignore[attr-defined]
-from numba.core.errors import NumbaError
-from numba.np.unsafe.ndarray import to_fixed_tuple
-
-from valve_sim.model.compiling import compiled, compiled_callback, compiled_once
 from valve_sim.model.core.symbols import Change, Force, Motion, Own, added
 from valve_sim.model.core.tracer import Node, where
-from valve_sim.model.core_types import MAXIMUM_TERM_PARAMETERS, MAXIMUM_TERMS
 from valve_sim.model.errors import ParameterError
 from valve_sim.model.parameters import Parameter
 
 Values = Mapping[str, float]
-Rewrite = Callable[[Any, Values], None]
 Term = Callable[..., float]
-
-_TERM_SIGNATURE = types.float64(
-    types.float64, types.float64, types.float64, types.float64, types.CPointer(types.float64)
-)
 
 
 class Tag(enum.Enum):
@@ -117,12 +103,7 @@ class Effect(_Words):
         summary: one sentence for a person.
         parameters: what it needs; all of them are given when it is on.
         source: where the form, and the size, are documented.
-        rewrite: changes the core's record, given the record and the effect's values.
-        term: plain Python function f(x, v, u, t, *parameters, *also_reads) in SI units, compiled when first used.
-        term_numbers: what the term reads in place of the parameters, given these; the term is then
-            f(x, v, u, t, numbers) with one array.
-        changes_at_rest: whether the term may change while nothing else does, given the parameters; default: where it
-            makes use of t.
+        term: plain Python function f(x, v, u, t, *parameters, *also_reads) of arithmetic in SI units.
         expected: (checked values) → what is wrong with them together, for a message; empty if nothing is.
         given_as_list: parameters that files and nodes give as one list.
         retired: names of parameters that earlier versions had → what they were. Read where they are 0, else refused.
@@ -134,17 +115,8 @@ class Effect(_Words):
         tried: whether a diagnosis tries it where it is not declared; False for what is to be declared, because it
             changes what all others mean.
         needs_inductance: it is tried only where the coil has a time constant, without which it has no flux.
-        with_gas: whether it is of a valve with gas alone (its `fields` are then of that valve's longer record), or of
-            one without gas alone; None: of both.
+        with_gas: whether it is of a valve with gas alone, or of one without gas alone; None: of both.
         tags: what kind of effect it is; the first is the main one.
-        fields: of the core's record, that a mechanism of the core reads for this effect, with their neutral values.
-        core_force: part of the compiled equations, f(p, t, motion, coil, condition) in newtons, + opens, for a force
-            that asks for more than a term is told; reads its `fields`; see `force_without_dry_friction`.
-        core_pull: likewise, what becomes of the square of the current that pulls, f(p, squared).
-        core_force_slopes: f(p, g, t, motion, coil, condition) adds the derivatives of `core_force` to g, where they
-            stand by name, see `gas.linearised`; it writes those to its own `fields`.
-        core_pull_slope: the derivative of `core_pull`, f(p, g, squared, per_pull); it writes that to its own field,
-            times the force `per_pull` that one unit of it makes.
         adds_to: parameter of the effect → declared parameter that it is added to.
         force: (motion, own) → a force, N, + opens, as an expression; made of `term` where that is given alone.
         friction: (motion, own) → the level of a dry friction, N, against the motion, as an expression.
@@ -160,10 +132,7 @@ class Effect(_Words):
     summary: str
     parameters: tuple[Parameter, ...]
     source: str
-    rewrite: Rewrite | None = None
     term: Term | None = None
-    term_numbers: Callable[[Values], list[float]] | None = None
-    changes_at_rest: Callable[[Values], bool] | None = None
     expected: Callable[[Values], str] | None = None
     given_as_list: ListOfParameters | None = None
     retired: Mapping[str, str] = field(default_factory=dict, hash=False)
@@ -175,11 +144,6 @@ class Effect(_Words):
     needs_inductance: bool = False
     with_gas: bool | None = None
     tags: tuple[Tag, ...] = (Tag.FORCE,)
-    fields: Values = field(default_factory=dict, hash=False)
-    core_force: Any = None
-    core_pull: Any = None
-    core_force_slopes: Any = None
-    core_pull_slope: Any = None
     adds_to: Mapping[str, str] = field(default_factory=dict, hash=False)
     force: Force | None = None
     friction: Force | None = None
@@ -188,7 +152,6 @@ class Effect(_Words):
     shapes: tuple[str, ...] = ()
     stands_alone: tuple[str, ...] = ()
     origin: str = field(default="", compare=False)
-    _compiled: list[Any] = field(default_factory=list, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         plain = self.name.replace("_", " ")
@@ -202,7 +165,7 @@ class Effect(_Words):
                 object.__setattr__(self, attribute, default)
         # The entry that this one replaces would be named in what its term raises.
         is_of_term = getattr(self.force, "__func__", None) is Effect._force_of_term
-        if (self.force is None or is_of_term) and self.term is not None and self.term_numbers is None:
+        if (self.force is None or is_of_term) and self.term is not None:
             object.__setattr__(self, "force", self._force_of_term)
         if self.adds_to:
             more = {declared: added(parameter) for parameter, declared in self.adds_to.items()}
@@ -237,12 +200,10 @@ class Effect(_Words):
     @property
     def changes_nothing(self) -> bool:
         """Whether it has no way into the model."""
-        return not (self.force or self.friction or self.square or self.changes or self.with_gas)
+        return not (self.force or self.friction or self.square or self.changes)
 
     def is_of(self, *, has_gas: bool) -> bool:
         """Whether a valve with gas, or one without, can have it."""
-        if has_gas and self.rewrite is None and self.term is None and not self.adds_to:
-            return False  # what is an expression alone is unknown to the integrator of valves with gas
         return self.with_gas is None or self.with_gas is has_gas
 
     def parameter(self, name: str) -> Parameter:
@@ -315,65 +276,6 @@ class Effect(_Words):
         """
         return None if self.severity is None else self.severity(values, declared)
 
-    def apply_rewrite(self, record: Any, values: Values) -> None:
-        """Change the core's record, if this effect does so."""
-        for parameter, declared in self.adds_to.items():
-            record[declared] += values[parameter]
-        if self.rewrite is not None:
-            self.rewrite(record, values)
-
-    def apply_term(self, record: Any, values: Values) -> None:
-        """Add the compiled force term to the core's record, if this effect has one."""
-        if self.term is None:
-            return
-        numbers = self._numbers_of_term(values)
-        numbers += [float(record[name]) for name in self.also_reads]
-        slot = int(record["term_count"])
-        if slot == MAXIMUM_TERMS:
-            raise ParameterError(f"effects.{self.name}: at most {MAXIMUM_TERMS} compiled force terms can be on at once")
-        record["term_address"][slot] = self.address(len(numbers))
-        record["term_in_phase_2_only"][slot] = int(self.phase_2_only)
-        record["term_parameters"][slot, : len(numbers)] = numbers
-        record["term_count"] = slot + 1
-        may_change = reads_time(self.term) if self.changes_at_rest is None else self.changes_at_rest(values)
-        record["terms_read_time"] |= int(may_change)
-
-    def _numbers_of_term(self, values: Values) -> list[float]:
-        if self.term_numbers is not None:
-            return self.term_numbers(values)
-        return [values[parameter.name] for parameter in self.parameters]
-
-    def compile_ahead(self) -> None:
-        """Compile the term, if there is one, before it is needed."""
-        if self.term is not None:
-            self.address(len(self._numbers_of_term(self.neutral_values())) + len(self.also_reads))
-
-    def address(self, count: int) -> int:
-        """Address of the compiled term that reads `count` numbers; compiled once a process and cached on disk.
-
-        Raises:
-            ParameterError: it cannot be compiled.
-        """
-        if not self._compiled:
-            assert self.term is not None
-            try:
-                self._compiled.append(compile_term(self.term, count, reads_array=self.term_numbers is not None))
-            except (NumbaError, TypeError) as error:
-                where = f"effects.{self.name}" + (f" ({self.origin})" if self.origin else "")
-                why = " ".join(str(error).split())[:200]
-                raise ParameterError(f"{where}: its term cannot be compiled: {why}") from error
-        return int(self._compiled[0].address)
-
-
-def set_fields(**parameter_of: str) -> Rewrite:
-    """A rewrite that writes parameters of the effect into fields of the core's record."""
-
-    def rewrite(record: Any, values: Values) -> None:
-        for field_name, parameter in parameter_of.items():
-            record[field_name] = values[parameter]
-
-    return rewrite
-
 
 def share_of_preload(parameter: str) -> SeverityOf:
     """The size of a force over the spring's preload."""
@@ -387,45 +289,6 @@ def share_of_preload(parameter: str) -> SeverityOf:
 def share(part: float, whole: float, of: str) -> Severity | None:
     """The size of a part of a whole; None of a whole that is 0."""
     return Severity(abs(part / whole), of) if whole else None
-
-
-@functools.cache
-def reads_time(term: Term) -> bool:
-    """Whether a term f(x, v, u, t, *parameters) makes use of t: a valve at rest is then watched more closely."""
-    code = getattr(term, "__code__", None)
-    return code is None or any(step.argval == code.co_varnames[3] for step in dis.get_instructions(code))
-
-
-def compile_term(term: Term, count: int, *, reads_array: bool = False) -> Any:
-    """Compile f(x, v, u, t, *numbers), or f(x, v, u, t, numbers), to a C callback that reads `count` from memory.
-
-    Raises:
-        ParameterError: too many numbers.
-    """
-    if count > MAXIMUM_TERM_PARAMETERS:
-        raise ParameterError(f"{term.__name__}: a force term reads at most {MAXIMUM_TERM_PARAMETERS} numbers")
-    # Code of a script or a notebook cannot be found again by its module's name, so it is compiled anew each time.
-    home = sys.modules.get(term.__module__)
-    is_importable = term.__module__ != "__main__" and getattr(home, term.__name__, None) is term
-    force = compiled(term) if is_importable else compiled_once(term)
-    # The folder of compiled code is named after the sources of this room: what lies elsewhere may change without it.
-    ships = is_importable and term.__module__.startswith(f"{__package__}.")
-    name = f"{term.__module__.rpartition('.')[2]}_{term.__name__}_{count}" if ships else ""
-    callback = _callback_of_array if reads_array else _callback
-    return compiled_callback(_TERM_SIGNATURE, callback, {"force": force, "count": count}, name)
-
-
-force: Any = None
-count: int = 0
-"""What callbacks are given when they are compiled: the compiled term, and how many numbers it reads."""
-
-
-def _callback(x: float, v: float, u: float, t: float, numbers: Any) -> float:  # pragma: no cover - compiled
-    return force(x, v, u, t, *to_fixed_tuple(carray(numbers, (count,)), count))  # type: ignore[no-any-return, call-arg]
-
-
-def _callback_of_array(x: float, v: float, u: float, t: float, numbers: Any) -> float:  # pragma: no cover - compiled
-    return force(x, v, u, t, carray(numbers, (count,)))  # type: ignore[no-any-return]
 
 
 FASTEST: Final = 0.2

@@ -12,7 +12,6 @@ is f, over x·u² it is f(x) u². Where the velocity takes part, over v, x·v an
 
 from __future__ import annotations
 
-import math
 from typing import Final
 
 import numpy as np
@@ -45,43 +44,6 @@ def is_periodic(variable: str) -> bool:
     return FORCE_MAP_VARIABLES.index(variable) >= _PERIODIC
 
 
-def force_map(x: float, v: float, u: float, t: float, numbers: NDArray[np.float64]) -> float:
-    """The curve at the place that the variable names, times the factor that it names, N.
-
-    Args:
-        x, v, u, t: m, m/s, –, s.
-        numbers: (4 + K,) index of the variable, low, knots a unit of the variable, intervals, coefficients; of a
-            periodic curve the first three again behind the last.
-    """
-    variable = numbers[0]
-    at = x
-    if variable == 1.0:
-        at = v
-    elif variable in (2.0, 5.0, 7.0):
-        at = t
-    place = (at - numbers[1]) * numbers[2]
-    if variable >= 6.0:
-        place -= math.floor(place / numbers[3]) * numbers[3]
-    place = min(max(place, 0.0), numbers[3])
-    left = min(int(place), int(numbers[3]) - 1)
-    s = place - left
-    rest = 1.0 - s
-    first = 4 + left
-    s2, rest2 = s * s, rest * rest
-    value = float(
-        (
-            rest2 * rest * numbers[first]
-            + (4.0 - 3.0 * s2 * (1.0 + rest)) * numbers[first + 1]
-            + (4.0 - 3.0 * rest2 * (1.0 + s)) * numbers[first + 2]
-            + s2 * s * numbers[first + 3]
-        )
-        * (1.0 / 6.0)
-    )
-    if variable in (0.0, 2.0) or variable >= 6.0:
-        return value
-    return value * u * u if variable == 4.0 else -value * v
-
-
 def basis(
     places: NDArray[np.float64], low: float, high: float, count: int, *, periodic: bool = False
 ) -> NDArray[np.float64]:
@@ -109,23 +71,6 @@ def basis(
     for offset, piece in enumerate(pieces):
         matrix[np.arange(len(z)), left + offset] = piece / 6.0
     return matrix
-
-
-def _numbers(values: Values) -> list[float]:
-    """What the compiled term reads."""
-    count = int(values["count"])
-    coefficients = [values[name] for name in FORCE_MAP_COEFFICIENTS]
-    if values["variable"] >= _PERIODIC:
-        coefficients = [*coefficients[:count], *coefficients[:3], *coefficients[count:]]
-    else:
-        coefficients += [0.0] * 3
-    intervals = float(count if values["variable"] >= _PERIODIC else count - 3)
-    scale = intervals / (values["high"] - values["low"])
-    return [values["variable"], values["low"], scale, intervals, *coefficients]
-
-
-def _changes_at_rest(values: Values) -> bool:
-    return FORCE_MAP_VARIABLES[int(values["variable"])] in ("t", "t, periodic")
 
 
 def _expected(values: Values) -> str:
@@ -179,9 +124,6 @@ EFFECT = Effect(
     title="Force of unknown origin",
     on_a_real_valve="A force that no effect of the catalogue explains acts on the plungers.",
     what_to_do="Look at where it acts, and compare it with what is known of the valve there.",
-    term=force_map,
-    term_numbers=_numbers,
-    changes_at_rest=_changes_at_rest,
     expected=_expected,
     given_as_list=_COEFFICIENTS,
     retired={f"f{knot}": "one of the eight knots of earlier versions" for knot in range(1, 9)},

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
-from valve_sim.model.compiling import inlined
 from valve_sim.model.core.symbols import Own
 from valve_sim.model.core.tracer import Node
 from valve_sim.model.effects.entry import Effect, Severity, Tag, Values
@@ -14,37 +12,6 @@ from valve_sim.model.parameters import Parameter
 
 def _severity(values: Values, declared: Values) -> Severity | None:
     return Severity(values["current"] ** -2, "the attraction, between a small current and the reference current")
-
-
-@inlined
-def saturated(p: Any, squared: float) -> float:
-    """u² (1 + k) / (1 + k u²), k = 1/u_s²."""
-    if p.saturation == 0.0:
-        return squared
-    return squared * (1.0 + p.saturation) / (1.0 + squared * p.saturation)  # type: ignore[no-any-return]
-
-
-@inlined
-def saturated_slope(p: Any, g: Any, squared: float, per_pull: float) -> float:
-    """The derivative of `saturated`."""
-    share = 1.0 / (1.0 + squared * p.saturation)
-    g.saturation = per_pull * squared * (1.0 - squared) * share * share
-    return (1.0 + p.saturation) * share * share  # type: ignore[no-any-return]
-
-
-@inlined
-def co_energy_slopes(p: Any, u: float) -> tuple[float, float]:
-    """The first two derivatives of s(u) = saturated(u²): by u, what the co-energy makes of the flux."""
-    if p.saturation == 0.0:
-        return 2.0 * u, 2.0
-    squared = p.saturation * u * u
-    share = 1.0 / (1.0 + squared)
-    slope = 2.0 * (1.0 + p.saturation) * share * share
-    return u * slope, slope * (1.0 - 3.0 * squared) * share
-
-
-def _rewrite(record: Any, values: Values) -> None:
-    record["saturation"] = values["current"] ** -2
 
 
 def saturated_square(s: Node, own: Own) -> Node:
@@ -65,10 +32,6 @@ EFFECT = Effect(
     "it should.",
     what_to_do="It belongs to the magnetic circuit; declare it, and do not count on higher voltage for more pull.",
     severity=_severity,
-    rewrite=_rewrite,
-    core_pull=saturated,
-    core_pull_slope=saturated_slope,
-    fields={"saturation": 0.0},
     tags=(Tag.COIL,),
     square=saturated_square,
 )

@@ -1,17 +1,10 @@
-"""The voltage that motion induces in the coil: a mechanism of the core, (C1) to (C4) of `gas.flux`."""
+"""The voltage that motion induces in the coil: a mechanism of the core, (C1) to (C4)."""
 
 from __future__ import annotations
-
-from typing import Any
 
 from valve_sim.model.core.symbols import replaced
 from valve_sim.model.effects.entry import Effect, Severity, Tag, Values
 from valve_sim.model.parameters import Parameter
-
-
-def _rewrite(record: Any, values: Values) -> None:
-    record["flux_linkage"] = 1.0
-    record["motional_share"] = values["share"]
 
 
 def _severity(values: Values, declared: Values) -> Severity | None:
@@ -32,8 +25,6 @@ EFFECT = Effect(
     "against that of the driver.",
     what_to_do="It belongs to every coil; declare it, with the coil's resistance and time constant as measured.",
     severity=_severity,
-    rewrite=_rewrite,
-    fields={"flux_linkage": 0.0, "motional_share": 0.0},
     needs_inductance=True,
     confused_with=("eddy_lag", "coil_lag", "coil_heating", "drive_gain"),
     tags=(Tag.COIL, Tag.BUILT_IN),

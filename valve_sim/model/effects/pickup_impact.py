@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from valve_sim.model.core.symbols import replaced
-from valve_sim.model.effects.entry import Effect, Severity, Tag, Values, set_fields
+from valve_sim.model.effects.entry import Effect, Severity, Tag, Values
 from valve_sim.model.parameters import Parameter
 
 
@@ -20,7 +20,6 @@ EFFECT = Effect(
     on_a_real_valve="The pilot plunger hits the resting main plunger through the pin and loses speed.",
     what_to_do="It belongs to every such valve and needs no repair; declare it, and check pin and masses if it is new.",
     severity=_severity,
-    rewrite=set_fields(pickup_velocity_ratio="velocity_ratio"),
     tags=(Tag.CONTACT,),
     changes={"pickup_velocity_ratio": replaced("velocity_ratio")},
 )

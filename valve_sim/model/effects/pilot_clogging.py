@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from valve_sim.model.effects.entry import Effect, Severity, Tag, Values, set_fields
+from valve_sim.model.core.symbols import replaced
+from valve_sim.model.effects.entry import Effect, Severity, Tag, Values
 from valve_sim.model.parameters import Parameter
 
 
@@ -21,8 +22,7 @@ EFFECT = Effect(
     what_to_do="Check the filter before the valve and the gas's dryness, and clean the pilot orifice.",
     remaining="pilot orifice",
     severity=_severity,
-    rewrite=set_fields(clogging_ratio="ratio"),
-    fields={"clogging_ratio": 1.0},
+    changes={"clogging_ratio": replaced("ratio")},
     with_gas=True,
     tags=(Tag.GAS,),
 )

@@ -6,11 +6,6 @@ from valve_sim.model.effects.entry import FASTEST, Effect, Severity, Tag, Values
 from valve_sim.model.parameters import Parameter
 
 
-def quadratic_drag(x: float, v: float, u: float, t: float, coefficient: float) -> float:
-    """−C v |v|, N."""
-    return -coefficient * v * abs(v)
-
-
 def _severity(values: Values, declared: Values) -> Severity | None:
     force = values["coefficient"] * FASTEST**2
     return share(force, declared["spring_preload"], f"the spring preload, at {FASTEST:g} m/s")
@@ -26,7 +21,6 @@ EFFECT = Effect(
     "faster they move.",
     what_to_do="Check which fluid is in the valve and how dense it is, and whether bores that let it pass are free.",
     severity=_severity,
-    term=quadratic_drag,
     confused_with=("squeeze_film",),
     tags=(Tag.DISSIPATIVE, Tag.LIKE_DAMPING, Tag.ANY_AXIS),
     force=lambda m, own: -own.coefficient * m.direction * m.v**2,

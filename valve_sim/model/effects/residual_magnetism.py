@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from valve_sim.model.core.symbols import replaced
-from valve_sim.model.effects.entry import Effect, Severity, Tag, Values, set_fields
+from valve_sim.model.effects.entry import Effect, Severity, Tag, Values
 from valve_sim.model.parameters import Parameter
 
 
@@ -21,8 +21,6 @@ EFFECT = Effect(
     "not at all.",
     what_to_do="Check that the non-magnetic spacer at the core is in place, and demagnetise or replace the plunger.",
     severity=_severity,
-    rewrite=set_fields(residual_current="current"),
-    fields={"residual_current": 0.0},
     tags=(Tag.COIL,),
     changes={"residual_current": replaced("current")},
 )

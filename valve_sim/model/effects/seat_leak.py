@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from valve_sim.model.effects.entry import Effect, Tag, set_fields
+from valve_sim.model.core.symbols import replaced
+from valve_sim.model.effects.entry import Effect, Tag
 from valve_sim.model.parameters import Parameter
 
 EFFECT = Effect(
@@ -13,8 +14,7 @@ EFFECT = Effect(
     title="Leaking seat",
     on_a_real_valve="Gas passes the closed valve: the seat is scratched, dirty or worn, or a seal is damaged.",
     what_to_do="Close the valve and watch the pressure behind it; clean or replace seat and seals.",
-    rewrite=set_fields(leak_area="area"),
-    fields={"leak_area": 0.0},
+    changes={"leak_area": replaced("area")},
     with_gas=True,
     tags=(Tag.GAS,),
 )

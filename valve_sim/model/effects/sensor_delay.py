@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from valve_sim.model.core.symbols import replaced
-from valve_sim.model.effects.entry import Effect, Tag, set_fields
+from valve_sim.model.effects.entry import Effect, Tag
 from valve_sim.model.parameters import Parameter
 
 EFFECT = Effect(
@@ -15,8 +15,6 @@ EFFECT = Effect(
     on_a_real_valve="The positions are stamped later than they were measured: filters, buffers or the bus; the valve "
     "itself is well.",
     what_to_do="Check the delay of the acquisition chain, and how samples and commands get their time stamps.",
-    rewrite=set_fields(sensor_delay="delay"),
-    fields={"sensor_delay": 0.0},
     confused_with=("sensor_bandwidth",),
     tags=(Tag.SENSOR,),
     changes={"sensor_delay": replaced("delay")},

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from valve_sim.model.core.symbols import replaced
-from valve_sim.model.effects.entry import Effect, Severity, Tag, Values, set_fields
+from valve_sim.model.effects.entry import Effect, Severity, Tag, Values
 from valve_sim.model.parameters import Parameter
 
 
@@ -21,8 +21,6 @@ EFFECT = Effect(
     "itself is well.",
     what_to_do="Calibrate the position sensors against a known distance.",
     severity=_severity,
-    rewrite=set_fields(sensor_gain="gain"),
-    fields={"sensor_gain": 1.0},
     tags=(Tag.SENSOR,),
     changes={"sensor_gain": replaced("gain")},
 )

@@ -8,15 +8,6 @@ from valve_sim.model.effects.entry import Effect, Severity, Tag, Values, share
 from valve_sim.model.parameters import Parameter
 
 
-def squeeze_film(
-    x: float, v: float, u: float, t: float, coefficient: float, film_thickness: float, stroke: float
-) -> float:
-    """−B v [(h/(x + h))³ + (h/(stroke − x + h))³], N."""
-    at_seat = film_thickness / (x + film_thickness)
-    at_stop = film_thickness / (stroke - x + film_thickness)
-    return -coefficient * v * (at_seat**3 + at_stop**3)
-
-
 def _severity(values: Values, declared: Values) -> Severity | None:
     return share(values["coefficient"], declared["main_damping"], "the declared main damping, at contact")
 
@@ -42,8 +33,6 @@ EFFECT = Effect(
     what_to_do="Look for oil or condensate between plunger and core, and check that faces and their grooves are as "
     "designed.",
     severity=_severity,
-    term=squeeze_film,
-    also_reads=("stroke",),
     tags=(Tag.DISSIPATIVE, Tag.LIKE_DAMPING),
     force=squeezed,
 )

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from valve_sim.model.core.symbols import Motion, Own
 from valve_sim.model.core.tracer import Node, exp
 from valve_sim.model.effects.entry import Effect, Severity, Tag, Values, share
@@ -12,13 +10,6 @@ from valve_sim.model.parameters import Parameter
 
 def _severity(values: Values, declared: Values) -> Severity | None:
     return share(values["force"] + values["breakaway"], declared["spring_preload"], "the spring preload")
-
-
-def _rewrite(record: Any, values: Values) -> None:
-    record["friction_opening"] += values["force"]
-    record["friction_closing"] += values["force"]
-    record["breakaway"] = values["breakaway"]
-    record["stribeck_velocity"] = values["stribeck_velocity"]
 
 
 def friction(m: Motion, own: Own) -> Node:
@@ -40,8 +31,6 @@ EFFECT = Effect(
     "or surfaces that cling.",
     what_to_do="Clean seat and guide, replace sticky seals, and compare strokes after a long and after a short rest.",
     severity=_severity,
-    rewrite=_rewrite,
-    fields={"friction_opening": 0.0, "friction_closing": 0.0, "breakaway": 0.0, "stribeck_velocity": 1.0},
     confused_with=("asymmetric_friction", "squeeze_film"),
     tags=(Tag.DISSIPATIVE, Tag.ANY_AXIS),
     friction=friction,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from valve_sim.model.core.symbols import replaced
-from valve_sim.model.effects.entry import Effect, Severity, Tag, Values, set_fields
+from valve_sim.model.effects.entry import Effect, Severity, Tag, Values
 from valve_sim.model.parameters import Parameter
 
 
@@ -24,8 +24,6 @@ EFFECT = Effect(
     on_a_real_valve="The plungers rebound when they hit the core or the seat, so that the valve opens or closes twice.",
     what_to_do="Check the damping washer and the soft seat for wear; a lower voltage makes the impact softer.",
     severity=_severity,
-    rewrite=set_fields(restitution_stop="restitution_stop", restitution_seat="restitution_seat"),
-    fields={"restitution_stop": 0.0, "restitution_seat": 0.0},
     tags=(Tag.CONTACT,),
     changes={"restitution_stop": replaced("restitution_stop"), "restitution_seat": replaced("restitution_seat")},
     stands_alone=("stop_compliance",),

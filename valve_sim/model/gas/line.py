@@ -15,44 +15,59 @@ from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from valve_sim.model.compiling import compiled, inner
-from valve_sim.model.gas.flow import density_at, pressure_at, through
+from valve_sim.model.core.gas import critical_cubic, density_at, pressure_at, through
+from valve_sim.model.core.machine import Library, made_once
+from valve_sim.model.core.native import kernel, native
+from valve_sim.model.core.plan import as_double
+from valve_sim.model.core.polynomials import Block, invoke
+from valve_sim.model.core.symbols import Own
+from valve_sim.model.core.tracer import Trace
 from valve_sim.model.gas.fluids import FLUIDS
-from valve_sim.model.gas.record import critical_cubic
 
-_GAS: Final = np.dtype([
-    (name, "f8")
-    for name in (
-        "gas_constant", "covolume", "heat_capacity_ratio", "inlet_temperature",
-        "critical_0", "critical_1", "critical_2", "critical_3",
-    )
-])  # fmt: skip
-"""What `flow` reads of a valve's record to know the gas."""
 _HALVINGS: Final = 100
 """Of the range of pressures, at most: rounding ends them after about 55."""
+ADDRESS, HERE, THERE, HOLE, DENSITY, THROUGH, DENSITY_HERE, PRESSURE, FIRST_NUMBER = range(9)
+"""Slots: of the kernel; two pressures, Pa, the hole between them, C_d A in m², and a density, kg/m³; and what it makes
+of these: the flow from here to there, kg/s, the density here, and the pressure at that density."""
+NUMBERS: Final = (
+    "gas_constant", "covolume", "heat_capacity_ratio", "inlet_temperature", "critical_0", "critical_1", "critical_2",
+    "critical_3",
+)  # fmt: skip
+"""What a fluid at one temperature is, from FIRST_NUMBER on."""
+LINE, TANK, AREAS = 0, 1, 2
+"""Slots of what is stepped: kg in the line, kg in the tank, C_d A of each orifice that feeds the line, then the
+pressure before each, Pa; behind them as many slots for what has come through each, kg."""
 
 
 class Gas:
-    """A fluid at one temperature, K.
-
-    Attributes:
-        record: (1,) as the compiled functions read it.
-    """
+    """A fluid at one temperature, K."""
 
     def __init__(self, fluid: str = "hydrogen", temperature: float = 288.15) -> None:
         known = FLUIDS[fluid]
+        address, self._library = _kernel()
         numbers = (known.gas_constant, known.covolume, known.heat_capacity_ratio, temperature)
-        self.record = np.array([(*numbers, *critical_cubic(known.heat_capacity_ratio))], _GAS)
-        self._numbers = self.record.view(np.recarray)[0]
+        of_gas = (*numbers, *critical_cubic(known.heat_capacity_ratio))
+        self._block = np.array([as_double(address), *[0.0] * (FIRST_NUMBER - 1), *of_gas])
+
+    def block(self) -> NDArray[np.float64]:
+        """The slots above, of the caller's own."""
+        return self._block.copy()
 
     def mass(self, pressure: float, volume: float) -> float:
         """Kg of gas in a volume, m³, at a pressure, Pa."""
-        return float(volume * density_at.py_func(self._numbers, pressure))
+        block = self.block()
+        block[HERE] = pressure
+        _asked()(block.ctypes.data)
+        return float(volume * block[DENSITY_HERE])
 
     def pressure(self, mass: float, volume: float) -> float:
         """Pa of so much gas, kg, in a volume, m³."""
-        return float(pressure_at.py_func(self._numbers, mass / volume))
+        block = self.block()
+        block[DENSITY] = mass / volume
+        _asked()(block.ctypes.data)
+        return float(block[PRESSURE])
 
 
 class Line(NamedTuple):
@@ -81,58 +96,115 @@ class Line(NamedTuple):
         Returns:
             the masses at the end, and what has come through each demand orifice, kg, negative where it flowed back.
         """
-        sizes = (self.orifice if is_open else 0.0, self.volume, self.filled)
-        came = np.empty(len(self.areas))
-        given = np.array(self.areas), np.array(pressures, dtype=float)
-        line, tank = _step(self.gas.record, *given, sizes, (*masses, seconds), came)
-        return (float(line), float(tank)), tuple(came.tolist())
+        count, block = len(self.areas), self.gas.block()
+        state = np.array([*masses, *self.areas, *pressures, *[0.0] * count])
+        _step()(
+            block.ctypes.data, state.ctypes.data, count, self.orifice if is_open else 0.0, self.volume, self.filled,
+            seconds,
+        )  # fmt: skip
+        line, tank, *rest = state.tolist()
+        return (line, tank), tuple(rest[2 * count :])
 
 
-@compiled
-def _step(gas: Any, areas: Any, pressures: Any, sizes: Any, start: Any, came: Any) -> Any:
-    """`Line.step` of masses and seconds; fills `came`."""
-    p = gas[0]
-    orifice, volume, filled = sizes
-    line, tank, seconds = start
-    before = pressure_at(p, tank / filled)
-    low = high = pressure_at(p, line / volume)
+@made_once
+def _kernel() -> tuple[int, Library]:
+    trace = Trace()
+    fluid = Own(**{name: trace.number(name) for name in NUMBERS})
+    here, there, hole, density = (trace.number(name) for name in ("here", "there", "hole", "density"))
+    slots = {"here": HERE, "there": THERE, "hole": HOLE, "density": DENSITY}
+    slots |= {name: FIRST_NUMBER + place for place, name in enumerate(NUMBERS)}
+    made = {
+        THROUGH: through(fluid, hole, here, there), DENSITY_HERE: density_at(fluid, here),
+        PRESSURE: pressure_at(fluid, density),
+    }  # fmt: skip
+    return kernel(made, slots)
+
+
+@made_once
+def _asked() -> Any:
+    return native(ask)
+
+
+@made_once
+def _step() -> Any:
+    return native(step_line, come_in, excess_of, flow, density_of, pressure_of)
+
+
+def ask(b: Block) -> None:
+    """Fill in what the kernel makes of the slots before."""
+    invoke(b[ADDRESS], b, b)
+
+
+def flow(b: Block, hole: float, here: float, there: float) -> float:
+    """Mass flow from one pressure to another, Pa, kg/s."""
+    b[HOLE] = hole
+    b[HERE] = here
+    b[THERE] = there
+    invoke(b[ADDRESS], b, b)
+    return float(b[THROUGH])
+
+
+def density_of(b: Block, pressure: float) -> float:
+    """Of the gas at a pressure, kg/m³."""
+    b[HERE] = pressure
+    invoke(b[ADDRESS], b, b)
+    return float(b[DENSITY_HERE])
+
+
+def pressure_of(b: Block, density: float) -> float:
+    """The other way round, Pa."""
+    b[DENSITY] = density
+    invoke(b[ADDRESS], b, b)
+    return float(b[PRESSURE])
+
+
+def step_line(b: Block, s: Block, count: int, orifice: float, volume: float, filled: float, seconds: float) -> None:
+    """`Line.step` of a state, the slots LINE and so on, which is changed."""
+    before = pressure_of(b, s[TANK] / filled)
+    low = pressure_of(b, s[LINE] / volume)
+    high = low
     if orifice > 0.0:
-        low, high = min(low, before), max(high, before)
-    for i in range(len(areas)):
-        low, high = min(low, pressures[i]), max(high, pressures[i])
+        low = min(low, before)
+        high = max(high, before)
+    for i in range(count):
+        low = min(low, s[AREAS + count + i])
+        high = max(high, s[AREAS + count + i])
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        if not low < middle < high:
+        if not (low < middle < high):
             break
-        left = line + _come_in(p, areas, pressures, middle, seconds, came) - volume * density_at(p, middle)
-        if _excess(p, orifice, middle, (tank, left, filled), seconds) > 0.0:
+        left = s[LINE] + come_in(b, s, count, middle, seconds) - volume * density_of(b, middle)
+        if excess_of(b, orifice, middle, s[TANK], left, filled, seconds) > 0.0:
             high = middle
         else:
             low = middle
-    total = _come_in(p, areas, pressures, high, seconds, came)
+    total = come_in(b, s, count, high, seconds)
     if orifice == 0.0:
-        return line + total, tank
-    kept = volume * density_at(p, high)
-    return kept, tank + (line + total - kept)
+        s[LINE] = s[LINE] + total
+        return
+    kept = volume * density_of(b, high)
+    s[TANK] = s[TANK] + (s[LINE] + total - kept)
+    s[LINE] = kept
 
 
-@inner
-def _come_in(p: Any, areas: Any, pressures: Any, here: Any, seconds: Any, came: Any) -> Any:
-    """What comes into the line at a pressure, kg, in all; fills `came`."""
+def come_in(b: Block, s: Block, count: int, here: float, seconds: float) -> float:
+    """What comes into the line at a pressure, Pa, in all, kg; fills in what comes through each orifice."""
     total = 0.0
-    for i in range(len(areas)):
-        came[i] = seconds * through(p, areas[i], pressures[i], here)[0]
-        total += came[i]
+    for i in range(count):
+        came = seconds * flow(b, s[AREAS + i], s[AREAS + count + i], here)
+        s[AREAS + 2 * count + i] = came
+        total += came
     return total
 
 
-@inner
-def _excess(p: Any, orifice: Any, here: Any, tank: Any, seconds: Any) -> Any:
+def excess_of(
+    b: Block, orifice: float, here: float, mass: float, left: float, filled: float, seconds: float
+) -> float:  # fmt: skip
     """What flows to the tank at the line's pressure, less what the balance leaves for it, kg."""
-    mass, left, filled = tank
     if orifice == 0.0:
         return -left
     density = (mass + left) / filled
-    if not 0.0 < density * p.covolume < 1.0:  # as no gas can be: the pressure is far too low, or too high
+    if not (0.0 < density * b[FIRST_NUMBER + 1] < 1.0):
+        # As no gas can be: the pressure is far too low, or too high.
         return -left
-    return seconds * through(p, orifice, here, pressure_at(p, density))[0] - left
+    return seconds * flow(b, orifice, here, pressure_of(b, density)) - left

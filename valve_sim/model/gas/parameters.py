@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Final, NamedTuple
 
+from valve_sim.model.core.gas import critical_cubic
 from valve_sim.model.errors import ParameterError
 from valve_sim.model.gas.fluids import FLUIDS, Fluid
 from valve_sim.model.parameters import Parameter, closest
@@ -28,6 +29,13 @@ class GasParameters(NamedTuple):
     demand_pressure: float = 1e5
     discharge_coefficient: float = 0.8
     fluid: str = "hydrogen"
+
+    def numbers(self) -> list[float]:
+        """Those of `core.gas.NUMBERS`, in their order: of the group, and of its fluid."""
+        fluid = self.properties
+        own: tuple[float, ...] = self[:-1]  # all but the fluid's name
+        gamma = fluid.heat_capacity_ratio
+        return [*own, fluid.gas_constant, fluid.covolume, gamma, *critical_cubic(gamma)]
 
     @property
     def properties(self) -> Fluid:
