@@ -135,7 +135,6 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_a_new_cache_is_closed_to_others_whatever_the_umask(cache: Path) -> None:
-    cache.mkdir(mode=0o755)
     before = os.umask(0)
     try:
         folder = machine.folder_in_use()
@@ -167,9 +166,12 @@ def test_one_that_somebody_else_owns_is_not_used(cache: Path) -> None:
 
 
 @pytest.mark.parametrize(("mode", "is_used"), [(0o777, False), (0o1777, True), (0o775, True)])
-def test_one_that_others_can_exchange_is_not_used(cache: Path, mode: int, is_used: bool) -> None:
+def test_one_that_others_can_exchange_is_not_used(
+    cache: Path, monkeypatch: pytest.MonkeyPatch, mode: int, is_used: bool
+) -> None:
     cache.mkdir()
     cache.chmod(mode)
+    monkeypatch.setenv("VALVE_SIM_CACHE", str(cache / "own"))
     assert (machine.folder_in_use() is not None) is is_used
 
 

@@ -1,5 +1,6 @@
 """Plants from files: starts, windows, errors of columns, values that vary, and thresholds among the data."""
 
+import math
 from typing import Any
 
 import numpy as np

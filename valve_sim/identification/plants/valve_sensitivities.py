@@ -100,11 +100,9 @@ _WATCHED: Final = frozenset({*_SWITCHES, "reference_voltage", "coil_resistance"}
 
 
 def _is_watched(name: str) -> bool:
-    """Whether a value may change a switch, or the rated current, or is of gas, where numbers follow from each other."""
-    effect, dot, _ = name.partition(".")
-    if name.startswith(PREFIX):
-        return True
-    return not _WATCHED.isdisjoint(CATALOGUE[effect].changes if dot else (name,))
+    """Whether a value may change a switch, or the rated current."""
+    effect, _, _ = name.partition(".")
+    return not _WATCHED.isdisjoint(CATALOGUE[effect].changes if effect in CATALOGUE else (name,))
 
 
 def _switches_of(valve: Valve) -> Array:
