@@ -5,10 +5,10 @@ event happens, against an independent reference (test/model/reference.py: SciPy'
 releases: valves whose current freewheels until a diode blocks, in closed form, by the same reference.
 derivatives: of positions and currents at a tolerance of 1e-11, to all that a trace depends on, against central
 differences of fourth order at 1e-13, over the largest value of each.
-gas: twenty valves with gas against test/plants/gas.py: event times and pressure, and what the tolerance leaves of times.
+gas: twenty valves with gas against test/plants/gas.py: event times, pressure, and what the tolerance leaves of times.
 
 Exits 1 where events are others, the largest difference is above 1e-11 s (1e-10 s for currents that freewheel), a
-derivative is off by 1e-6, or gas is off by more than 5 µs + 0.1 %, 0.2 % of pressure or 1e-9 of mass.
+derivative is off by 1e-6, or gas is off by more than 5 µs + 0.1 % or 0.2 % of pressure.
 """
 
 from __future__ import annotations
