@@ -10,6 +10,7 @@ import pytest
 
 from valve_sim.model import CATALOGUE, Drive, Effect, EventKind, Parameter, Phase, Stepper, Valve, simulate
 from valve_sim.model.core.plan import entry
+from valve_sim.model.core.simulation import commands_of
 from valve_sim.model.core.symbols import Motion, Own
 from valve_sim.model.core.tracer import Node, where
 from valve_sim.model.core_types import Outcome
@@ -31,7 +32,7 @@ RESTING = {
 
 def steps(valve: Valve, until: float) -> int:
     """The fewest steps between two commands with which a pulse, and the rest after it, can be simulated."""
-    plan, commands = valve.plan(), np.column_stack(PULSE)
+    plan, commands = valve.plan(), commands_of(PULSE)
 
     def suffice(most: int) -> bool:
         block = plan.block(valve.numbers(), TOLERANCE, 0.0)

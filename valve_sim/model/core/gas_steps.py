@@ -108,7 +108,7 @@ EMBEDDED: Final = (
 )  # fmt: skip
 
 LOOSER: Final = 30.0
-LOOSER_IN_MOTION: Final = 0.3
+LOOSER_IN_MOTION: Final = 3.0
 """By what the tolerance of a step is larger than without gas, at rest and in motion: the pair is of order 4, a valve
 waits half a second for its pressure, and a stroke of some milliseconds decides what the derivatives are."""
 SIZE_OF_X: Final = 1e-5
