@@ -66,6 +66,7 @@ def warm_gas() -> None:
         gas = sizes._replace(demand_orifice_diameter=demand)
         valve = replace(default_valve().with_values(seat_load=0.3), gas=gas)
         _warm_plans(valve, has_gas=True)
+        simulate(valve, Drive.of([0.0], [valve.parameters.reference_voltage]), [0.0, 1e-3])
     Line(Gas(), (1e-9,), 1e-9, 1e-6, 1e-6).step((1e-6, 1e-6), (1e6,), 1e-3)
 
 
