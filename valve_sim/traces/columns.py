@@ -25,8 +25,6 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage, signal
-from scipy.interpolate import interp1d
 
 from valve_sim.files.recording_map import MapError
 from valve_sim.files.yaml_files import read_yaml
@@ -342,6 +340,8 @@ _OF_ARRAYS: Final[Mapping[str, Any]] = {
 
 def at_rest(times: Array, readings: Array) -> Mask:
     """(n,) where a signal stands: over `REST` it changes by no more than its noise between neighbours."""
+    from scipy import ndimage  # here and below: SciPy takes a second to load, which no node waits for
+
     steady = float(np.median(np.diff(times)))
     span = max(11, round(REST / steady))
     bends = np.diff(readings, 2)
@@ -370,14 +370,17 @@ def _low_passed(values: Array, times: Array, low_pass: float, order: int = 0) ->
         for _ in range(order):
             values = np.gradient(values, times, axis=0) if len(times) > 1 else np.zeros_like(values)
         return values
+    from scipy.interpolate import interp1d
+    from scipy.signal import butter, filtfilt
+
     grid, rate = times, (len(times) - 1) / (times[-1] - times[0])
     steps = np.diff(times)
     varies = float(np.ptp(steps)) > UNEVEN * float(np.median(steps))
     if varies:
         grid = np.linspace(times[0], times[-1], len(times))
         values = np.asarray(interp1d(times, values, axis=0)(grid), dtype=np.float64)
-    numerator, denominator = signal.butter(FILTER_ORDER, low_pass / (0.5 * rate))
-    found: Array = np.asarray(signal.filtfilt(numerator, denominator, values, axis=0), dtype=np.float64)
+    numerator, denominator = butter(FILTER_ORDER, low_pass / (0.5 * rate))
+    found: Array = np.asarray(filtfilt(numerator, denominator, values, axis=0), dtype=np.float64)
     for _ in range(order):
         found = np.asarray(np.gradient(found, grid, axis=0), dtype=np.float64)
     return np.asarray(interp1d(grid, found, axis=0)(times), dtype=np.float64) if varies else found
