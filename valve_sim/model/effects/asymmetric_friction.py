@@ -40,7 +40,7 @@ EFFECT = Effect(
     what_to_do="Check the direction of lip seals, and whether the plunger tilts while the coil pulls.",
     severity=_severity,
     confused_with=("squeeze_film",),
-    tags=(Tag.DISSIPATIVE, Tag.ANY_AXIS),
+    tags=(Tag.DISSIPATIVE,),
     force=damping_force,
     friction=dry_friction,
 )

@@ -22,5 +22,5 @@ EFFECT = Effect(
     what_to_do="Check the mounting position, the spring's preload and the zero of the load cell.",
     severity=share_of_preload("force"),
     term=constant_force,
-    tags=(Tag.FORCE, Tag.ANY_AXIS),
+    tags=(Tag.FORCE,),
 )

@@ -17,6 +17,6 @@ EFFECT = Effect(
     "sideways.",
     severity=share_of_preload("force"),
     confused_with=("stiction", "asymmetric_friction", "squeeze_film"),
-    tags=(Tag.DISSIPATIVE, Tag.LIKE_DAMPING, Tag.ANY_AXIS),
+    tags=(Tag.DISSIPATIVE, Tag.LIKE_DAMPING),
     friction=lambda m, own: own.force,
 )

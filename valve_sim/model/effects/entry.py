@@ -33,8 +33,6 @@ class Tag(enum.Enum):
     """Of the gas that flows, where there is any."""
     LIKE_DAMPING = "like damping"
     """Slows the plungers as a viscous damping does, and is easily taken for one."""
-    ANY_AXIS = "any axis"
-    """Needs no coil, seat or stop: any driven axis can have it."""
     BUILT_IN = "built in"
     """Belongs to how a machine is built: it neither comes nor goes while the machine is in service."""
 

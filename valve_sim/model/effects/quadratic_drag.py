@@ -22,6 +22,6 @@ EFFECT = Effect(
     what_to_do="Check which fluid is in the valve and how dense it is, and whether bores that let it pass are free.",
     severity=_severity,
     confused_with=("squeeze_film",),
-    tags=(Tag.DISSIPATIVE, Tag.LIKE_DAMPING, Tag.ANY_AXIS),
+    tags=(Tag.DISSIPATIVE, Tag.LIKE_DAMPING),
     force=lambda m, own: -own.coefficient * m.direction * m.v**2,
 )

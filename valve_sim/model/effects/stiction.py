@@ -32,6 +32,6 @@ EFFECT = Effect(
     what_to_do="Clean seat and guide, replace sticky seals, and compare strokes after a long and after a short rest.",
     severity=_severity,
     confused_with=("asymmetric_friction", "squeeze_film"),
-    tags=(Tag.DISSIPATIVE, Tag.ANY_AXIS),
+    tags=(Tag.DISSIPATIVE,),
     friction=friction,
 )
