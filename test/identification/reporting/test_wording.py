@@ -111,7 +111,7 @@ def test_a_summary_and_its_advice_have_no_names_of_code(diagnosis: Diagnosis, ki
         summary, advice = summarise(found), recording_advice(found)
         assert "_" not in summary + advice
         assert verdict.is_open
-        assert "friction that differs by direction and coil lag apart from bounce" in advice
+        assert "friction that differs by direction and coil lag from bounce" in advice
         assert (advice in summary) == (kind == "insufficient")
         assert title_of(name).lower() in summary.lower() or (kind == "insufficient" and strokes == 1)
 
