@@ -61,7 +61,10 @@ class Fits:
         problem = SimpleNamespace(plant=SimpleNamespace(force_maps=maps, timing_errors=(STAMP,)))
         values = {"mass": 2.0, "gain": 3.0, "clock": 1e-5}
         self.base = cast(
-            "Fit", SimpleNamespace(problem=problem, free=("gain",), nuisances=(CLOCK,), values=values, over="")
+            "Fit",
+            SimpleNamespace(
+                problem=problem, free=("gain",), nuisances=(CLOCK,), names=["gain", CLOCK.name], values=values, over=""
+            ),
         )
         patch.setattr(force_maps, "fit", self.fit)
         patch.setattr(force_maps, "likely_periods", self.periods)
@@ -99,8 +102,8 @@ class Fits:
         # A period of 0.1 is the worse one.
         evidence -= 5.0 * ([own.mean for own in nuisances if own.name.startswith("end")] == [0.1])
         return SimpleNamespace(
-            problem=problem, free=tuple(free), nuisances=tuple(nuisances), values=values, log_evidence=evidence,
-            over=over, chi2=-2.0 * evidence,
+            problem=problem, free=tuple(free), nuisances=tuple(nuisances), names=[*free, *(own.name for own in nuisances)],
+            values=values, log_evidence=evidence, over=over, chi2=-2.0 * evidence,
         )  # fmt: skip
 
     def fitted(self) -> list[tuple[str, float]]:
