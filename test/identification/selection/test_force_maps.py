@@ -102,8 +102,8 @@ class Fits:
         # A period of 0.1 is the worse one.
         evidence -= 5.0 * ([own.mean for own in nuisances if own.name.startswith("end")] == [0.1])
         return SimpleNamespace(
-            problem=problem, free=tuple(free), nuisances=tuple(nuisances), names=[*free, *(own.name for own in nuisances)],
-            values=values, log_evidence=evidence, over=over, chi2=-2.0 * evidence,
+            problem=problem, free=tuple(free), nuisances=tuple(nuisances), values=values,
+            names=[*free, *(own.name for own in nuisances)], log_evidence=evidence, over=over, chi2=-2.0 * evidence,
         )  # fmt: skip
 
     def fitted(self) -> list[tuple[str, float]]:
