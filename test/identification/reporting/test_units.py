@@ -18,7 +18,7 @@ def test_a_minus_is_always_the_same_sign_and_nothing_has_none(value: float, word
 @pytest.mark.parametrize("found", [Interval(0.77919, 0.00081, 0.7626, 0.7872), Interval(4.147, 0.089, 3.678, 4.6)])
 def test_an_interval_that_its_standard_error_does_not_explain_is_explained(found: Interval) -> None:
     assert "one standard error" in remark_on(found)
-    assert "go by the interval" in remark_on(found)
+    assert "use the interval" in remark_on(found)
 
 
 def test_an_interval_as_its_standard_error_says_needs_no_words() -> None:
