@@ -116,6 +116,7 @@ def test_nothing_bends_the_current_of_a_valve_that_is_held() -> None:
     assert not [event for found in events_from_sensors(trace, 0.26e-3) for event in found.events]
 
 
+@pytest.mark.long
 def test_a_diagnosis_reports_in_milliamperes_and_gives_the_position() -> None:
     trace, position = recorded()
     result = diagnose([trace], [], replace(declared(BUILD), tolerances=Tolerances({"pilot_gap": 4e-6}, None, {})))
@@ -134,6 +135,7 @@ def test_a_diagnosis_reports_in_milliamperes_and_gives_the_position() -> None:
     assert largest < 40.0
 
 
+@pytest.mark.long
 def test_the_band_holds_the_truth_where_a_twin_stands_first() -> None:
     """Behind a clamp nothing in the current tells friction from a constant force; they close at different times."""
     build = BUILD._replace(friction=0.35, clamp_voltage=24.0)
