@@ -158,6 +158,13 @@ def test_comparison_takes_the_mean_of_the_strokes():
     assert [cell.strip() for cell in rows[0].split("│")[2:6]] == ["5.310", "5.330", "5.3", "+0.020"]
 
 
+def test_comparison_says_how_well_a_time_is_known_where_messages_were_lost():
+    whole = stroke_events(0.0)
+    holed = whole._replace(events=tuple(event._replace(uncertainty=4.5e-4) for event in whole.events))
+    rows = [line for line in plain(comparison([whole, holed])).splitlines() if "t2" in line]
+    assert [cell.strip() for cell in rows[0].split("│")[2:4]] == ["9.900", "9.900 ± 0.45"]
+
+
 def test_comparison_leaves_what_was_not_seen_open():
     rows = [line for line in plain(comparison([stroke_events(0.0)])).splitlines() if "seated" in line]
     assert len(rows) == 2
@@ -234,16 +241,18 @@ def test_demonstration_shows_records_and_compares(tmp_path: Path):
     trace = read_trace(tmp_path / "demo" / "strokes")
     openings = [found for found in events_from_sensors(trace, 0.26e-3) if found.stroke.kind == "opening"]
     assert len(openings) == 2
-    for found in openings:
-        times = {event.kind: event.after_command for event in found.events}
-        # Counted from when the coil has its voltage: how late a busy machine hands a command over does not matter.
-        assert times["pilot_reaches_main"] == pytest.approx(5.3e-3, abs=1e-5)
-        assert times["reaches_stop"] == pytest.approx(9.9e-3, abs=1e-5)
-    assert f"{1e3 * openings[0].events[0].after_command:.3f}" in output
     told = [float(line.split("ms")[0]) for line in output.splitlines() if "takes the main" in line or ": open" in line]
-    recorded = [1e3 * event.after_command for found in openings for event in found.events]
-    # A phase is told at the first of its samples, which are 0.02 ms apart.
-    assert told == pytest.approx(recorded, abs=0.03)
+    for found, lines in zip(openings, (told[:2], told[2:]), strict=True):
+        events = {event.kind: event for event in found.events}
+        # Counted from when the coil has its voltage: how late a busy machine hands a command over does not matter. What
+        # its recorder misses does, and is in the errors.
+        for kind, when in (("pilot_reaches_main", 5.3e-3), ("reaches_stop", 9.9e-3)):
+            assert events[kind].after_command == pytest.approx(when, abs=1e-5 + 3.0 * events[kind].uncertainty)
+        recorded = [1e3 * event.after_command for event in found.events]
+        if max(event.uncertainty for event in found.events) < 1e-5:
+            # A phase is told at the first of its samples, which are 0.02 ms apart.
+            assert lines == pytest.approx(recorded, abs=0.03)
+    assert f"{1e3 * openings[0].events[0].after_command:.3f}" in output
     assert trace.coil_current is not None
     rate = describe(trace).signals["coil_current"]
     assert (rate.rate, rate.in_bursts) == (pytest.approx(50_000, rel=0.05), False)

@@ -166,6 +166,19 @@ def test_where_one_command_was_late_or_none_has_a_stamp_all_are_dated(recorded: 
     assert dates_by_voltage(np.array([0.0101, recorded]), np.array([9.0, 0.0]), measured) is None
 
 
+def test_a_command_in_a_gap_of_the_samples_is_known_as_well_as_the_gap_is_short() -> None:
+    """The voltage is switched on at 10.1 ms, while a recorder misses messages, and off at 50.1 ms."""
+    times = np.arange(4000) / 5e4
+    kept = (times < 0.0099) | (times > 0.0123)
+    volts = np.where((times > 0.0101) & (times < 0.0501), 9.0, 0.0)
+    found = dates_by_voltage(np.array([0.0122, 0.0501]), np.array([9.0, 0.0]), Signal(times[kept], volts[kept]))
+    assert found is not None
+    assert found.times == pytest.approx([0.0111, 0.0501], abs=2e-5)
+    assert found.errors == pytest.approx([2.4e-3 / np.sqrt(12.0), 0.0], rel=0.02)
+    assert abs(found.times[0] - 0.0101) < np.sqrt(3.0) * found.errors[0]
+    assert "1 of 2 commands came while samples are missing" in found.finding
+
+
 def test_pulses_of_a_modulated_voltage_date_nothing() -> None:
     volts = np.where((TIMES > 0.010) & (TIMES < 0.050) & (np.floor(TIMES * 2000) % 2 == 0), 24.0, 0.0)
     assert dates_by_voltage(np.array([0.011, 0.052]), np.array([12.0, 0.0]), Signal(TIMES, volts)) is None

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rich.table import Table
 
 from valve_sim.model import Drive, Phase, Response
-from valve_sim.traces import StrokeEvents
+from valve_sim.traces import SensorEvent, StrokeEvents
 
 ENERGISED: Final = 0.030
 """s of model time that the coil is on; the valve needs 10 ms."""
@@ -20,6 +20,8 @@ RESTING: Final = 0.030
 """s of model time that it is off; the valve needs 13 ms to close."""
 LEAD: Final = 0.005
 """s of model time before the first command, so that the bag shows the valve at rest."""
+COARSE: Final = 1e-5
+"""s: an error above it is shown."""
 BAR: Final = 41
 """Characters that stand for the whole travel: one for 30 µm."""
 
@@ -136,9 +138,16 @@ def comparison(strokes: Sequence[StrokeEvents]) -> Table:
     table.add_column("paper", justify="right")
     table.add_column("difference", justify="right")
     for kind, (words, paper) in PAPER.items():
-        times = [event.after_command for found in strokes for event in found.events if event.kind == kind]
-        cells = [f"{1e3 * when:.3f}" for when in times[:openings]] + ["–"] * (openings - len(times))
+        seen = [event for found in strokes for event in found.events if event.kind == kind]
+        times = [event.after_command for event in seen]
+        cells = [_shown(event) for event in seen[:openings]] + ["–"] * (openings - len(times))
         is_known = times and not math.isnan(paper)
         difference = f"{1e3 * (float(np.mean(times)) - paper):+.3f}" if is_known else "–"
         table.add_row(words, *cells, "–" if math.isnan(paper) else f"{1e3 * paper:.1f}", difference)
     return table
+
+
+def _shown(event: SensorEvent) -> str:
+    """When an event was, ms; with its error where more than its last digits are open, as where messages were lost."""
+    error = f" ± {1e3 * event.uncertainty:.2f}" if event.uncertainty > COARSE else ""
+    return f"{1e3 * event.after_command:.3f}{error}"

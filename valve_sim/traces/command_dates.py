@@ -25,6 +25,8 @@ SEEN: Final = 10.0
 """Standard deviations of the voltage's noise that a step has at least, to be dated."""
 STAMP_ERROR: Final = 50e-6
 """s: how well a command is dated that the voltage does not show; such a share of it, that both clocks may differ."""
+GAP: Final = 10.0
+"""Usual intervals between samples of the voltage: a longer one hides a step, which may have been anywhere in it."""
 EXACT: Final = 1e-8
 """s: what is known better is taken as exact."""
 
@@ -44,7 +46,8 @@ def dates_by_voltage(times: Array, volts: Array, measured: Signal, *, has_stamps
     A command's step is the one crossing, in its direction, of the middle between its voltage and the one before, after
     the step of the command before it and until the next command was recorded. Where there are several, as with pulses
     of a modulated voltage, or none, it stays where it was recorded. Where one command was recorded late, all are dated
-    so: those that seem to fit are late, too, and would scatter beside the others.
+    so: those that seem to fit are late, too, and would scatter beside the others. A command whose step a gap in the
+    samples hides, as where a recorder missed messages, is dated in the middle of the gap.
 
     Args:
         times: of the commands as recorded, s, ascending, shape (n,). volts: V, shape (n,).
@@ -53,16 +56,24 @@ def dates_by_voltage(times: Array, volts: Array, measured: Signal, *, has_stamps
     """
     changes = np.flatnonzero(np.diff(volts, prepend=0.0) != 0.0)
     found, errors, lateness = times[changes].copy(), np.full(len(changes), STAMP_ERROR), []
+    gaps, recorded = np.zeros(len(changes)), times[changes]
+    longest = GAP * float(np.median(np.diff(measured.times))) if len(measured.times) > 1 else np.inf
     for place, step in _steps(times[changes], volts[changes], measured):
         errors[place] = (step.last - step.first) * UNIFORM
+        if step.last - step.first > longest:
+            gaps[place] = errors[place]
         if not step.first - STAMP_ERROR <= found[place] <= step.last + STAMP_ERROR:
             lateness.append(float(found[place] - step.date))
         found[place] = step.date
     if has_stamps and not lateness:
-        return None
+        if not gaps.any():
+            return None
+        words = f"{np.count_nonzero(gaps)} of {len(changes)} commands came while samples are missing, and are known "
+        words += f"to ± {1e3 * gaps.max():.3g} ms"
+        return Dates(np.maximum.accumulate(np.where(gaps > 0.0, found, recorded)), volts[changes], gaps, words)
     worst = max(lateness, key=abs, default=0.0)
     words = f"{len(lateness)} of {len(changes)} commands were recorded up to {1e3 * abs(worst):.3g} ms "
-    words += f"{'after' if worst > 0.0 else 'before'} the voltage changed: they are dated"
+    words += f"{'after' if worst > 0.0 else 'before'} the voltage changed: they are dated by it"
     errors[errors < EXACT] = 0.0
     return Dates(np.maximum.accumulate(found), volts[changes], errors, words)
 

@@ -17,7 +17,7 @@ from valve_sim.signals.resting_noise import MAD_TO_SIGMA
 from valve_sim.traces.strokes import find_stroke_parts
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -56,8 +56,8 @@ class SensorEvent(NamedTuple):
         kind: "pilot_reaches_main" (t1), "reaches_stop" (t2), and on the way back "main_seats", "reaches_seat".
         time: s on the trace's clock.
         after_command: s since the stroke's command.
-        uncertainty: Standard error of the time, s, from the sensor's noise and the interval of its samples. What lag
-            a sensor has is not in it.
+        uncertainty: Standard error of `after_command`, s, from the sensor's noise, the interval of its samples, and how
+            well the command's time is known. What lag a sensor has is not in it.
         sensor: "position" or "acceleration"; "current" where no position was recorded.
     """
 
@@ -89,7 +89,7 @@ def events_from_sensors(trace: Trace, pilot_gap: float) -> tuple[StrokeEvents, .
     if not trace.has_positions:
         by_current = [(stroke, _by_current(trace.coil_current, stroke)) for stroke in strokes]
         return tuple(
-            StrokeEvents(stroke, tuple(event for event in seen if pilot_gap > 0.0 or event.kind not in AT_THE_GAP))
+            _of_stroke(trace, stroke, [event for event in seen if pilot_gap > 0.0 or event.kind not in AT_THE_GAP])
             for stroke, seen in by_current
         )
     levels = _rest_levels(trace.kept_position, pilot_gap)
@@ -97,8 +97,17 @@ def events_from_sensors(trace: Trace, pilot_gap: float) -> tuple[StrokeEvents, .
     for stroke in strokes:
         seen = tuple(_by_position(trace, stroke, levels))
         events = [*seen, *_by_acceleration(trace.acceleration, stroke, seen)]
-        found.append(StrokeEvents(stroke, tuple(sorted(events, key=lambda event: event.time))))
+        found.append(_of_stroke(trace, stroke, sorted(events, key=lambda event: event.time)))
     return tuple(found)
+
+
+def _of_stroke(trace: Trace, stroke: StrokePart, events: Sequence[SensorEvent]) -> StrokeEvents:
+    """The arrivals of a stroke, whose errors get that of its command."""
+    if trace.drive_errors is not None:
+        command = int(np.searchsorted(trace.drive.times, stroke.start, side="right")) - 1
+        error = float(trace.drive_errors.times[command]) if command >= 0 else 0.0
+        events = [event._replace(uncertainty=float(np.hypot(event.uncertainty, error))) for event in events]
+    return StrokeEvents(stroke, tuple(events))
 
 
 class _Levels(NamedTuple):

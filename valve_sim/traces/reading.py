@@ -373,7 +373,7 @@ class _Assembly:
         )
         if found is None:
             return commands.times, commands.volts, None
-        self.findings.append(f"{self.input.topic}: {found.finding} by {self.plan.sources['voltage'].topic}")
+        self.findings.append(f"{self.input.topic}: {found.finding} ({self.plan.sources['voltage'].topic})")
         times = epoch + np.rint(SECOND * found.times).astype(np.int64)
         return times, found.volts, DriveErrors(found.errors, np.zeros(len(times)))
 
