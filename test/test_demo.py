@@ -8,6 +8,7 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 from own_domain import own_domain
 from rich.console import Console
@@ -241,27 +242,30 @@ def test_demonstration_shows_records_and_compares(tmp_path: Path):
     trace = read_trace(tmp_path / "demo" / "strokes")
     openings = [found for found in events_from_sensors(trace, 0.26e-3) if found.stroke.kind == "opening"]
     assert len(openings) == 2
+    is_whole = np.diff(trace.times).max() < 1e-4  # a recorder on a busy machine misses messages
     told = [float(line.split("ms")[0]) for line in output.splitlines() if "takes the main" in line or ": open" in line]
     for found, lines in zip(openings, (told[:2], told[2:]), strict=True):
         events = {event.kind: event for event in found.events}
         # Counted from when the coil has its voltage: how late a busy machine hands a command over does not matter. What
-        # its recorder misses does, and is in the errors.
+        # its recorder misses does: an arrival in such a gap is anywhere in it, √12 of its standard errors long.
         for kind, when in (("pilot_reaches_main", 5.3e-3), ("reaches_stop", 9.9e-3)):
-            assert events[kind].after_command == pytest.approx(when, abs=1e-5 + 3.0 * events[kind].uncertainty)
+            open_for = np.sqrt(12.0) * events[kind].uncertainty
+            assert events[kind].after_command == pytest.approx(when, abs=1e-5 + open_for)
         recorded = [1e3 * event.after_command for event in found.events]
-        if max(event.uncertainty for event in found.events) < 1e-5:
+        if is_whole:
             # A phase is told at the first of its samples, which are 0.02 ms apart.
             assert lines == pytest.approx(recorded, abs=0.03)
     assert f"{1e3 * openings[0].events[0].after_command:.3f}" in output
     assert trace.coil_current is not None
-    rate = describe(trace).signals["coil_current"]
-    assert (rate.rate, rate.in_bursts) == (pytest.approx(50_000, rel=0.05), False)
+    if is_whole:
+        rate = describe(trace).signals["coil_current"]
+        assert (rate.rate, rate.in_bursts) == (pytest.approx(50_000, rel=0.05), False)
     (following,) = (line.removeprefix("next: ") for line in output.splitlines() if line.startswith("next: "))
     shown = subprocess.run(["bash", "-c", following], capture_output=True, text=True, timeout=PATIENCE, check=False)
     # Whoever runs this before the model is compiled is told that it is.
     warnings = [line for line in shown.stderr.splitlines() if "compiling the model" not in line]
     assert (shown.returncode, warnings) == (0, [])
-    assert "50000 Hz" in shown.stdout
+    assert not is_whole or "50000 Hz" in shown.stdout
 
 
 @pytest.mark.ros

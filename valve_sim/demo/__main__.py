@@ -97,7 +97,8 @@ def _conclude(bag: Path, picture: Path, story: Story, console: Console) -> None:
     console.print()
     console.print(comparison(seen))
     console.print(
-        "(from the recorded positions, since the voltage on the coil; the lines above are good to one sample)"
+        "(from the recorded positions, since the voltage on the coil; the lines above are good to one sample, "
+        "where none was missed)"
     )
     arrivals = {event.kind: event.after_command for event in seen[0].events} if seen else {}
     names = {"pilot_reaches_main": "t1", "reaches_stop": "t2"}
