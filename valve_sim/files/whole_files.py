@@ -50,7 +50,7 @@ def refuse_unwritable(*paths: Path) -> None:
     """Say before long work, not after it, that files cannot be written. Makes nothing.
 
     Raises:
-        ValveError: the folder of one is a file, or is not ours to write to.
+        ValveError: one is a folder, or its own folder is a file or is not ours to write to.
     """
     for path in paths:
         try:
@@ -58,6 +58,8 @@ def refuse_unwritable(*paths: Path) -> None:
             why_not = 0 if os.access(place, os.W_OK | os.X_OK) else errno.EACCES
             if not place.is_dir():
                 why_not = errno.ENOTDIR
+            elif path.is_dir():
+                why_not = errno.EISDIR
         except OSError as error:  # a name that is too long, say
             why_not = error.errno or errno.EINVAL
         if why_not:

@@ -43,7 +43,7 @@ class ArchiveNode(RosNode):
         super().__init__("archive")
         settings: ArchiveSettings = declared(self._node, sections, PARAMETERS, archive_settings)
         folder = Path(settings.folder).expanduser()
-        refuse_unwritable(folder / "strokes")
+        refuse_unwritable(folder / "any.parquet")
         self._archive = Archive(folder, settings.years, int(1e6 * settings.megabytes))
         self._keeper, self._prune_at = Keeper(self._archive), time.monotonic()
         valves = [full_name(self._node, name, "valves") for name in settings.valves]
