@@ -35,10 +35,11 @@ def interval_lines(plant: Plant, intervals: Mapping[str, Interval], width: int) 
     Args:
         plant: whose parameters they are. intervals: by name. width: of the column of 95 % intervals, characters.
     """
-    lines = [f"{'parameter':<28}{'value ± standard error':<30}{'95 % interval':<{width}}declared"]
+    column = max([28, *(len(name) + 2 for name in intervals)])
+    lines = [f"{'parameter':<{column}}{'value ± standard error':<30}{'95 % interval':<{width}}declared"]
     for name, found in intervals.items():
         unit, declared = plant.parameter(name).unit, plant.declared(name)
         known = f"{measured(found, unit):<29} {limits(found, unit):<{width - 1}} "
-        row = f"{name:<28}{known}{quantity(declared, unit)}"
+        row = f"{name:<{column}}{known}{quantity(declared, unit)}"
         lines += [row, *([f"  {remark}."] if (remark := remark_on(found)) else [])]
     return lines
