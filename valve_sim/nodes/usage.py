@@ -4,33 +4,45 @@ from __future__ import annotations
 
 from typing import Final
 
-_PARAMETERS: Final = """\
-    Parameters are set by -p name:=value after --ros-args, or by --params-file. They are
-    listed in docs/reference/parameters.md, and `ros2 param describe` explains those of a
-    running node."""
 
-VALVE_NODE: Final = f"""
+def usage(
+    about: str, pages: str, codes: str = "0 after Ctrl-C or SIGTERM, 1 after a failure, 2 for unusable input"
+) -> str:
+    """The help of a node.
+
+    Args:
+        about: what it does, with a command. pages: where to read on. codes: its exit codes.
+    """
+    return f"""{about}
+    Parameters are set by -p name:=value after --ros-args, or by --params-file. They are
+    listed in docs/reference, and `ros2 param describe` explains those of a running node.
+
+    Exit code {codes}.
+
+    Read on: {pages}
+"""
+
+
+VALVE_NODE: Final = usage(
+    """
     valve_node simulates a valve in real time on ROS 2 topics.
 
     It obeys voltages on ~/coil_voltage and publishes ~/joint_states, ~/coil, ~/phase and
     ~/is_open. Without parameters it is the shipped valve, named /valve:
 
         valve_node
-        ros2 topic pub --once /valve/coil_voltage std_msgs/msg/Float64 '{{data: 9.0}}'
+        ros2 topic pub --once /valve/coil_voltage std_msgs/msg/Float64 '{data: 9.0}'
 
     Another valve, sampled at 500 Hz, from a parameter file of a checkout:
 
         valve_node --ros-args --params-file config/published.yaml \\
             -p publish_rate:=500.0
+""",
+    "docs/tutorials/first_correction.md, docs/reference/topics.md",
+)
 
-{_PARAMETERS}
-
-    Exit code 0 after Ctrl-C or SIGTERM, 1 after a failure, 2 for unusable input.
-
-    Read on: docs/tutorials/first_correction.md, docs/reference/topics.md
-"""
-
-IDENTIFICATION_NODE: Final = f"""
+IDENTIFICATION_NODE: Final = usage(
+    """
     identification_node replays a recording beside the model and refits its valve.
 
     It publishes what was measured and what the model predicts, writes the result to the
@@ -38,15 +50,13 @@ IDENTIFICATION_NODE: Final = f"""
     and with apply_to:=/valve it sets the result on a running valve if the residual is white:
 
         identification_node --ros-args -p bag:=bags/live.mcap
+""",
+    "docs/how_to/diagnosis.md, docs/reference/topics.md",
+    "0 after the result, Ctrl-C or SIGTERM, 1 after a failure, 2 for unusable input",
+)
 
-{_PARAMETERS}
-
-    Exit code 0 after the result, Ctrl-C or SIGTERM, 1 after a failure, 2 for unusable input.
-
-    Read on: docs/how_to/diagnosis.md, docs/reference/topics.md
-"""
-
-MONITOR_NODE: Final = f"""
+MONITOR_NODE: Final = usage(
+    """
     monitor_node watches a valve beside its model, stroke by stroke.
 
     It learns from the first strokes how the healthy valve moves, raises an alarm on
@@ -59,15 +69,12 @@ MONITOR_NODE: Final = f"""
 
         monitor_node --ros-args -p valve_node:=/tank_1/valve \\
             --params-file tank_1.yaml
+""",
+    "docs/how_to/monitor.md, docs/theory/monitoring.md",
+)
 
-{_PARAMETERS}
-
-    Exit code 0 after Ctrl-C or SIGTERM, 1 after a failure, 2 for unusable input.
-
-    Read on: docs/how_to/monitor.md, docs/theory/monitoring.md
-"""
-
-COMMAND_PROFILE: Final = f"""
+COMMAND_PROFILE: Final = usage(
+    """
     command_profile commands a valve by a file of times and voltages, and ends.
 
     It waits until the valve subscribes, sends each voltage at its time, and leaves the coil
@@ -75,10 +82,7 @@ COMMAND_PROFILE: Final = f"""
 
         echo '[[0.01, 9], [0.04, 0]]' > strokes.yaml
         command_profile --ros-args -p profile:=strokes.yaml
-
-{_PARAMETERS}
-
-    Exit code 0 when all was sent, 1 otherwise, 2 for unusable input.
-
-    Read on: docs/how_to/record_next.md
-"""
+""",
+    "docs/how_to/record_next.md",
+    "0 when all was sent, 1 otherwise, 2 for unusable input",
+)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import Final
 
-_PARAMETERS: Final = """\
-    Parameters are set by -p name:=value after --ros-args, or by --params-file. They are
-    listed in docs/reference, and `ros2 param describe` explains those of a running node."""
+from valve_sim.nodes.usage import usage
 
-DISPENSER_NODE: Final = f"""
+DISPENSER_NODE: Final = usage(
+    """
     dispenser_node fills simulated vehicles from the tanks of a station with gas.
 
     It commands the valves one after the other, as a hydrogen station does in a cascade, and
@@ -16,15 +15,12 @@ DISPENSER_NODE: Final = f"""
     running (ros2 launch valve_sim station.launch.py gas:=true starts them all):
 
         dispenser_node --ros-args --params-file config/gas_dispenser.yaml
+""",
+    "docs/how_to/station.md",
+)
 
-{_PARAMETERS}
-
-    Exit code 0 after Ctrl-C or SIGTERM, 1 after a failure, 2 for unusable input.
-
-    Read on: docs/how_to/station.md
-"""
-
-OPCUA_NODE: Final = f"""
+OPCUA_NODE: Final = usage(
+    """
     opcua_node shows valves and their monitors to OPC UA clients, such as a SCADA system.
 
     Clients read states, strokes, findings and alarms; none can command a coil. It needs the
@@ -32,30 +28,24 @@ OPCUA_NODE: Final = f"""
 
         opcua_node --ros-args -p valves:='[valve]' \\
             -p monitors:='[monitor]'
+""",
+    "docs/how_to/opcua.md",
+)
 
-{_PARAMETERS}
-
-    Exit code 0 after Ctrl-C or SIGTERM, 1 after a failure, 2 for unusable input.
-
-    Read on: docs/how_to/opcua.md
-"""
-
-PLC_NODE: Final = f"""
+PLC_NODE: Final = usage(
+    """
     plc_node lets a PLC command the coils of valves over Modbus TCP.
 
     It shows the PLC the state of each valve, and de-energises the coils when the PLC's
     heartbeat stands still. It needs the extra modbus: pip install '.[modbus]'.
 
         plc_node --ros-args -p valves:='[valve]' -p map_file:=registers.csv
+""",
+    "docs/how_to/plc.md",
+)
 
-{_PARAMETERS}
-
-    Exit code 0 after Ctrl-C or SIGTERM, 1 after a failure, 2 for unusable input.
-
-    Read on: docs/how_to/plc.md
-"""
-
-ARCHIVE_NODE: Final = f"""
+ARCHIVE_NODE: Final = usage(
+    """
     archive_node keeps strokes, findings and alarms of valves for years, as Parquet files.
 
     It subscribes to what monitors and valves publish; `valve-sim history` prints what it has
@@ -63,10 +53,6 @@ ARCHIVE_NODE: Final = f"""
 
         archive_node --ros-args -p folder:=archive -p valves:='[valve]' \\
             -p monitors:='[monitor]'
-
-{_PARAMETERS}
-
-    Exit code 0 after Ctrl-C or SIGTERM, 1 after a failure, 2 for unusable input.
-
-    Read on: docs/how_to/archive.md
-"""
+""",
+    "docs/how_to/archive.md",
+)
