@@ -16,7 +16,7 @@ from valve_sim.model.errors import SimulationError
 from valve_sim.model.parameters import ValveParameters
 
 
-@pytest.mark.parametrize("kind", ["random", "flux", "release"])
+@pytest.mark.parametrize("kind", ["random", "flux", "release", "gas"])
 @pytest.mark.parametrize("seed", [*range(8), *(pytest.param(seed, marks=pytest.mark.long) for seed in range(8, 40))])
 def test_a_live_valve_is_the_whole_run_to_the_last_bit(kind: str, seed: int) -> None:
     valve, drive, times = drawn(kind, seed)
@@ -35,14 +35,14 @@ def test_a_live_valve_is_the_whole_run_to_the_last_bit(kind: str, seed: int) -> 
         events += reading.events
         shown.append((
             reading.pilot_position, reading.main_position, reading.pilot_velocity, reading.coil_current,
-            reading.attraction, reading.phase, reading.coil_voltage,
+            reading.attraction, reading.phase, reading.coil_voltage, reading.outlet_pressure, reading.mass_flow,
         ))  # fmt: skip
     expected = (
         whole.pilot_position, whole.main_position, whole.pilot_velocity, whole.coil_current, whole.attraction,
-        whole.phase, whole.coil_voltage,
+        whole.phase, whole.coil_voltage, whole.outlet_pressure, whole.mass_flow,
     )  # fmt: skip
     for column, values in zip(np.array(shown).T, expected, strict=True):
-        assert np.array_equal(column, values)
+        assert np.array_equal(column, np.full(len(times), np.nan) if values is None else values, equal_nan=True)
     assert tuple(events) == whole.events
 
 
