@@ -305,8 +305,9 @@ def test_identify_writes_what_validate_and_the_node_load(tmp_path: Path, strokes
     run_well("validate", strokes, "--params", tmp_path / "results" / "identified.yaml")
 
 
-def test_identify_frees_what_it_is_told_to(tmp_path: Path, strokes: Path):
-    result = run_well("identify", strokes, "--free", "a0, main_damping", "--output", tmp_path, "--json")
+@pytest.mark.parametrize("told", [("--free", "a0, main_damping"), ("--free", "a0", "--free", "main_damping")])
+def test_identify_frees_what_it_is_told_to(tmp_path: Path, strokes: Path, told: tuple[str, ...]):
+    result = run_well("identify", strokes, *told, "--output", tmp_path, "--json")
     assert set(json.loads(result.stdout)["parameters"]) == {"a0", "main_damping"}
 
 

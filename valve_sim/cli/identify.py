@@ -35,7 +35,9 @@ if TYPE_CHECKING:
 @plant_option
 @click.option(
     "--free",
+    "freed",
     metavar="A,B",
+    multiple=True,
     help="What to refit: declared parameters (a0 ... a3: the polynomial), of effects, e.g. coulomb_friction.force, and "
     "of gas, e.g. gas.outlet_volume.  [default: pilot_damping,main_damping; for a valve with one plunger main_damping]",
 )
@@ -53,7 +55,7 @@ def identify(
     bags: tuple[Path, ...],
     params: Path | None,
     plant: Path | None,
-    free: str | None,
+    freed: tuple[str, ...],
     shared: bool,
     name: str | None,
     output: Path,
@@ -82,6 +84,7 @@ def identify(
     from valve_sim.identification.plants.valve import dampings_of
     from valve_sim.identification.reporting.identification import identification_json, identification_text
 
+    free = ",".join(freed) if freed else None
     cluster = chosen_cluster()
     if not shared and cluster != (None, None):
         raise click.UsageError("--scheduler and --workers are for --shared", click.get_current_context())

@@ -74,7 +74,7 @@ def _library(name: str, version: str) -> Any:
         return importlib.import_module(name)
     except ImportError as error:
         raise ValveError(
-            f"FMI {version} is written by {name}, which is not installed; pip install 'valve_sim[fmi]'"
+            f"FMI {version} is written by {name}, which is not installed; pip install '.[fmi]' in a checkout"
         ) from error
 
 

@@ -93,7 +93,7 @@ class Archive:
             import pyarrow
             import pyarrow.parquet
         except ImportError as error:
-            raise ValveError(f"{folder}: an archive needs pyarrow; pip install 'valve_sim[parquet]'") from error
+            raise ValveError(f"{folder}: an archive needs pyarrow; pip install '.[parquet]' in a checkout") from error
         self._arrow, self._parquet = pyarrow, pyarrow.parquet
         self._folder, self._years, self._most = folder, years, most_bytes
         self._waiting: dict[tuple[Kind, str, str], list[dict[str, object]]] = defaultdict(list)

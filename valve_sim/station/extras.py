@@ -24,7 +24,7 @@ def require(module: str, extra: str, purpose: str) -> None:
         importlib.import_module(module)
     except ImportError as error:
         raise ValveError(
-            f"{purpose} needs {module}, which cannot be imported ({error}); pip install 'valve_sim[{extra}]'"
+            f"{purpose} needs {module}, which cannot be imported ({error}); pip install '.[{extra}]' in a checkout"
         ) from error
 
 
