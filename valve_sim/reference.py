@@ -147,7 +147,7 @@ def _effects() -> Iterator[str]:
         "[Model and events](../theory/model.md): $F$ is a force that is added, + opens, $F_f$ the level of a dry "
         "friction, and an arrow shows what becomes of a declared value. Parameters of the effect go by their names. "
         "An effect without a formula here acts on a sensor (11), on a contact (13), (15), on the current that pulls "
-        "(8), or on the [gas](../gas.md#equations)."
+        "(8), or on the [gas](../gas.md#equations), or is a [smooth curve](../theory/selection.md#11-smooth-curves)."
     )
     for effect in CATALOGUE.values():
         yield f"## {effect.name}"

@@ -22,7 +22,7 @@ class Qos(NamedTuple):
 
     @property
     def words(self) -> str:
-        """As a table of the documentation has it."""
+        """The quality of service in words, for the tables of the documentation."""
         reliability = "reliable" if self.is_reliable else "best effort"
         return f"{reliability}{', transient local' if self.is_latched else ''}, depth {self.depth}"
 

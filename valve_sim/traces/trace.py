@@ -31,13 +31,13 @@ class Signal(NamedTuple):
     values: NDArray[np.float64]
 
     def beside(self, times: NDArray[np.float64]) -> Signal:
-        """Return the same, with these very times where they are equal, so that they are held once."""
+        """Return this signal; where its times equal the given ones it holds these, so that memory is used once."""
         same = len(times) == len(self.times) and bool((times == self.times).all())
         return Signal(times, self.values) if same else self
 
 
 class DriveErrors(NamedTuple):
-    """How well commands are known that were read from samples of a voltage, not recorded as commands.
+    """How well the times and levels of commands are known that were found in samples of a voltage.
 
     Attributes:
         times: Standard deviation of each command's time, s, shape (k,); 0 where it is exact.
@@ -125,7 +125,7 @@ class Trace:
 
     @property
     def primary_signal(self) -> str:
-        """The signal by which a valve is judged: "position", else "current", else "outlet_pressure"."""
+        """The signal that is compared with a model: "position", else "current", else "outlet_pressure"."""
         if self.has_positions:
             return "position"
         return "outlet_pressure" if self.coil_current is None else "current"
@@ -148,13 +148,13 @@ class Trace:
 
     @property
     def primary_samples(self) -> Signal:
-        """The signal by which a valve is judged; a position is `usable_position`."""
+        """The samples of the signal that is compared with a model; a position is `usable_position`."""
         signal = self._other_signal
         return Signal(self.times, self.usable_position) if self.has_positions or signal is None else signal
 
     @property
     def sample_times(self) -> NDArray[np.float64]:
-        """Its times, s."""
+        """The times of the samples of `primary_signal`, s."""
         signal = self._other_signal
         return self.times if self.has_positions or signal is None else signal.times
 
