@@ -13,10 +13,10 @@ from valve_sim.model.core.driver import GAS_COLUMNS, LIVE_EVENTS, ROW_COLUMNS
 from valve_sim.model.core.entries import ENTRIES
 from valve_sim.model.core.gas import PREFIX
 from valve_sim.model.core.plan import Plan, entry, method
-from valve_sim.model.core.simulation import check_geometry, check_outcome
-from valve_sim.model.core.valve import Valve
 from valve_sim.model.core_types import EventKind, Phase
 from valve_sim.model.response import Event
+from valve_sim.model.simulation import check_geometry, check_outcome
+from valve_sim.model.valve import Valve
 
 Array = NDArray[np.float64]
 _KINDS: Final = tuple(EventKind)
