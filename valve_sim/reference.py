@@ -13,7 +13,7 @@ from typing import Final
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.fleet.columns import BEFORE, SCHEMA, columns, followed, quantities
 from valve_sim.model import CATALOGUE
-from valve_sim.model.core.latex import formulas_of
+from valve_sim.model.core.latex import equations_without_effects, formulas_of
 from valve_sim.model.parameters import Parameter
 from valve_sim.nodes import profile_playing, settings, topics
 from valve_sim.nodes.parameters import NodeParameter
@@ -67,7 +67,7 @@ def _topics() -> Iterator[str]:
         "the station's nodes `<valve>` is each of their parameter `valves`, and `<monitor>` of `monitors`. `<end>` is "
         "inlet_pressure and demand_pressure: "
         "beside a simulated valve (`<sensors>` is `<valve>`) those that it obeys are heard, beside another its "
-        "sensors, and where neither comes what the valve is told."
+        "sensors, and where neither comes the pressures that are sent to the valve."
     )
 
 
@@ -149,6 +149,9 @@ def _effects() -> Iterator[str]:
         "An effect without a formula here acts on a sensor (11), on a contact (13), (15), on the current that pulls "
         "(8), or on the [gas](../gas.md#equations), or is a [smooth curve](../theory/selection.md#11-smooth-curves)."
     )
+    yield "Without effects a valve without gas moves by these equations, in Phase 1, in Phase 2, and its current $u$:"
+    for formula in equations_without_effects():
+        yield f"$$\n{formula}\n$$"
     for effect in CATALOGUE.values():
         yield f"## {effect.name}"
         words = effect.summary[0].upper() + effect.summary[1:] + f". Source: {effect.source}."

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from valve_sim.model import CATALOGUE
-from valve_sim.model.core.latex import formulas_of, latex
+from valve_sim.model.core.latex import equations_without_effects, formulas_of, latex
 from valve_sim.model.core.tracer import Node, Trace, exp, maximum, minimum, sqrt, where
 
 TRACE = Trace()
@@ -30,6 +30,15 @@ X, V, A, B = TRACE.state("x"), TRACE.state("v"), TRACE.number("stroke"), TRACE.n
 )  # fmt: skip
 def test_an_expression_is_written_as_a_person_would(expression: Node, expected: str) -> None:
     assert latex(expression) == expected
+
+
+def test_the_equations_without_effects_are_those_of_the_paper_with_a_coil() -> None:
+    pull = r"\left(a_0 + a_1 \, x + a_2 \, x^2 + a_3 \, x^3\right) \, {u}^2"
+    assert equations_without_effects() == [
+        rf"m_1 \dot v = {pull} - F_\mathrm{{seat}} - c_1 \, v",
+        rf"m_2 \dot v = {pull} - F_0 - k \, x - c_2 \, v",
+        r"\dot u = \frac{\frac{V}{V_\mathrm{ref}} - u}{\tau}",
+    ]
 
 
 def test_every_force_and_friction_of_the_catalogue_has_its_formula() -> None:

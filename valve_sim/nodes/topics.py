@@ -111,7 +111,7 @@ MONITOR: Final = (
     Topic("{sensors}/coil_current", _FLOAT, "in", "current, heard until a stamped one comes", "A", SENSOR),
     Topic("{sensors}/outlet_pressure", _PRESSURE, "in", "behind a valve with gas", "Pa", SENSOR),
     Topic(
-        "{valve}/{end}", _PRESSURE, "in", "what a valve with gas is told, until one of those below comes", "Pa", SENSOR
+        "{valve}/{end}", _PRESSURE, "in", "what is sent to a valve with gas, until one of those below comes", "Pa", SENSOR
     ),
     Topic("{valve}/obeyed/{end}", _PRESSURE, "in", "what a simulated valve obeys", "Pa", SENSOR),
     Topic("{sensors}/{end}", _PRESSURE, "in", "what a real valve's sensors say", "Pa", SENSOR),

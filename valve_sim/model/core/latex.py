@@ -7,6 +7,7 @@ a parameter of an effect goes by its name.
 from __future__ import annotations
 
 import math
+import operator
 from collections import Counter
 from collections.abc import Callable, Mapping
 from fractions import Fraction
@@ -41,7 +42,20 @@ LARGEST_DENOMINATOR: Final = 12
 Written: TypeAlias = tuple[str, int]
 """LaTeX, and how tightly it binds: a sum, a product, or a single thing."""
 _SUM, _PRODUCT, _SINGLE = range(3)
+_ARITHMETIC: Final[Mapping[str, Callable[..., Node]]] = {
+    "add": operator.add, "sub": operator.sub, "mul": operator.mul, "div": operator.truediv, "neg": operator.neg,
+}  # fmt: skip
 _FUNCTIONS: Final = {"log": r"\ln", "sin": r"\sin", "cos": r"\cos", "tanh": r"\tanh"}
+
+
+def equations_without_effects() -> list[str]:
+    """The equations of motion of both phases, and that of the current, as LaTeX."""
+    system = build(())
+    lifted = (system.trace.number("lifted") > 0.5).excess
+    phases = [(_decided(system.net, lifted, branch), mass) for branch, mass in ((2, "m_1"), (1, "m_2"))]
+    return [rf"{mass} \dot v = {latex(net)}" for net, mass in phases] + [
+        rf"\dot {name} = {latex(state.rate)}" for name, state in system.states.items()
+    ]
 
 
 def formulas_of(effect: Effect) -> list[str]:
@@ -207,9 +221,10 @@ def _decided(node: Node, excess: Node, branch: int) -> Node:
     """An expression where a condition is known to hold (branch 1), or not to (2)."""
     if node.op == "pick" and node.args[0] is excess:
         return _decided(node.args[branch], excess, branch)
-    if not node.args:
-        return node
-    return node.trace.node(node.op, *(_decided(one, excess, branch) for one in node.args), payload=node.payload)
+    args = [_decided(one, excess, branch) for one in node.args]
+    if node.op in _ARITHMETIC:
+        return _ARITHMETIC[node.op](*args)  # leaves out what is 0
+    return node.trace.node(node.op, *args, payload=node.payload) if args else node
 
 
 _PRINTED: Final[Mapping[str, Callable[[Node], Written]]] = {
