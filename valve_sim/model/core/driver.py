@@ -405,7 +405,7 @@ def settle(b: Block) -> None:
 
 FUNCTIONS: Final = (
     *polynomials.FUNCTIONS, *gas_steps.FUNCTIONS, *modes.FUNCTIONS, *samples.FUNCTIONS, *steps.FUNCTIONS,
-    *events.FUNCTIONS, start_gas, settle_flow, supply, run, cut, drive, renumber, start, whole, batch, read, advance, halt, command,
-    set_pressures, settle,
+    *events.FUNCTIONS, start_gas, settle_flow, supply, run, cut, drive, renumber, start, whole, batch, read, advance,
+    halt, command, set_pressures, settle,
 )  # fmt: skip
 """The functions that `lowering` compiles."""
