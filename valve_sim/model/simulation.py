@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from valve_sim.model.core import layout
-from valve_sim.model.core.driver import CHANGES, GAS_COLUMNS, LONGEST_RUN, MOST_STEPS, ROW_COLUMNS
+from valve_sim.model.core.driver import CHANGES, LONGEST_RUN, MOST_STEPS
 from valve_sim.model.core.machine import made_once
 from valve_sim.model.core.plan import entry, method
+from valve_sim.model.core.samples import GAS_COLUMNS, ROW_COLUMNS
 from valve_sim.model.core_types import EventKind, Outcome
 from valve_sim.model.drives import Drive, Supply
 from valve_sim.model.errors import SimulationError
@@ -115,7 +116,7 @@ def commands_of(drive: Drive, supply: Supply | None = None, start: float = -math
 
 
 def columns_of(valve: Valve) -> int:
-    """How many columns a whole row of output has: see `driver.ROW_COLUMNS`."""
+    """How many columns a whole row of output has: see `samples.ROW_COLUMNS`."""
     return ROW_COLUMNS if valve.gas is None else GAS_COLUMNS
 
 
