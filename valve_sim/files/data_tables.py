@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.files.recording_map import UNITS
+from valve_sim.files.channels import UNITS
 from valve_sim.files.tables import TableError
 
 Array = NDArray[np.float64]

@@ -15,10 +15,10 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 
+from valve_sim.files.channels import CHANNELS, JUDGED, UNITS
 from valve_sim.files.yaml_files import read_yaml
-from valve_sim.model.core.own.units import Unit, parse_unit
 from valve_sim.model.errors import ValveError
 
 if TYPE_CHECKING:
@@ -30,56 +30,9 @@ class MapError(ValveError):
     """A map cannot be used: one line that names the file and the key, what was found and what is expected."""
 
 
-_ALLOWED: Final[Mapping[str, Sequence[str]]] = {
-    "voltage": ("V", "mV", "kV"),
-    "length": ("m", "cm", "mm", "um", "µm", "nm", "in"),
-    "current": ("A", "mA", "uA", "µA"),
-    "acceleration": ("m/s2", "m/s²", "mm/s2", "g"),
-    "pressure": ("Pa", "hPa", "mbar", "kPa", "bar", "MPa", "psi"),
-    "force": ("N", "mN", "kN", "kgf", "lbf"),
-    "temperature": ("degC", "°C", "K"),
-    "time": ("s", "ms", "us", "µs", "ns", "min"),
-}
-CELSIUS: Final = 273.15
-"""K, of 0 °C: a valve's temperatures are in °C."""
-
-
-def _unit(name: str, dimension: str) -> Unit:
-    """A unit as a quantity of this dimension has it: g is a mass elsewhere, and temperatures are in °C here."""
-    unit = parse_unit("g0" if (name, dimension) == ("g", "acceleration") else name)
-    return unit._replace(zero=unit.zero - CELSIUS) if dimension == "temperature" else unit
-
-
-UNITS: Final[Mapping[str, Mapping[str, Unit]]] = {
-    dimension: {name: _unit(name, dimension) for name in names} for dimension, names in _ALLOWED.items()
-}
-"""Units by dimension; the first of each is the default."""
-
-
-class Quantity(NamedTuple):
-    """A quantity that a recording can hold: its dimension, and its name for people."""
-
-    dimension: str
-    meaning: str
-
-
-QUANTITIES: Final[Mapping[str, Quantity]] = {
-    "command": Quantity("voltage", "commanded voltage, held until the next message or row"),
-    "voltage": Quantity("voltage", "measured at the coil: the input; without a command, its steps are the commands"),
-    "position": Quantity("length", "pilot plunger, 0 where the valve is closed, positive towards the core"),
-    "main_position": Quantity("length", "main plunger"),
-    "current": Quantity("current", "coil current"),
-    "acceleration": Quantity("acceleration", "along the axis"),
-    "pressure": Quantity("pressure", "inlet pressure, absolute"),
-    "outlet_pressure": Quantity("pressure", "behind a valve with gas, absolute"),
-    "demand_pressure": Quantity("pressure", "behind the demand's orifice of such a valve, absolute"),
-    "temperature": Quantity("temperature", "of the coil"),
-}
-FORCE_QUANTITIES: Final[Mapping[str, Quantity]] = {
-    "displacement": Quantity("length", "of the plunger from its seat, positive towards the core"),
-    "force": Quantity("force", "with which the coil attracts the plunger"),
-}
-"""Quantities of a static table, from load cell and stage."""
+FORCE_QUANTITIES: Final[Mapping[str, str]] = {"displacement": "length", "force": "force"}
+"""Columns of a static table, from stage (from the plunger's seat, positive towards the core) and load cell (with which
+the coil attracts the plunger), and the dimension of each."""
 MOST_AVERAGED: Final = 1000
 """Readings: a sensor that averages more shows no stroke."""
 OF_ANOTHER: Final = "; if it is of a machine that is no valve, give --plant to identify, diagnose, validate or simulate"
@@ -162,7 +115,7 @@ class RecordingMap:
 
     Attributes:
         path: the file that it was read from, for messages.
-        valves: valve's name ("/tank_1/valve") to quantity (of `QUANTITIES`) to where it is.
+        valves: valve's name ("/tank_1/valve") to channel's key (of `CHANNELS`) to where it is.
         time: of a table; None for bags.
         sensors: by valve's name, what is known of its position sensor; of those that are not there, nothing.
     """
@@ -201,7 +154,7 @@ def load_map(path: Path | str) -> RecordingMap:
 
 def is_of_valve(found: Mapping[Any, Any]) -> bool:
     """Whether all that a map names is recorded of a valve; else it is the map of another machine."""
-    return all(name in QUANTITIES or name in _OTHER_KEYS for name in found)
+    return all(name in CHANNELS or name in _OTHER_KEYS for name in found)
 
 
 def map_from(found: object, path: str) -> RecordingMap:
@@ -211,11 +164,11 @@ def map_from(found: object, path: str) -> RecordingMap:
             f"{path}: found {_short(found)}; expected keys such as position: {{topic: ..., unit: mm}}; "
             "valve-sim map RECORDING writes a first one"
         )
-    _check_keys(found, [*QUANTITIES, *_OTHER_KEYS], path, "", OF_ANOTHER)
+    _check_keys(found, [*CHANNELS, *_OTHER_KEYS], path, "", OF_ANOTHER)
     clock = _clock(found.get("clock", ""), f"{path}: clock")
     time = _time_axis(found["time"], f"{path}: time") if "time" in found else None
     if "valves" in found:
-        alone = [key for key in found if key in QUANTITIES or key in ("valve", "sensor")]
+        alone = [key for key in found if key in CHANNELS or key in ("valve", "sensor")]
         if alone:
             raise MapError(f"{path}: {alone[0]}: found beside valves:; expected it below one of them")
         valves = _named_valves(found["valves"], clock, path)
@@ -224,7 +177,7 @@ def map_from(found: object, path: str) -> RecordingMap:
         name = found.get("valve", DEFAULT_VALVE)
         if not isinstance(name, str) or not name.strip("/"):
             raise MapError(f"{path}: valve: found {_short(name)}, expected a name such as {DEFAULT_VALVE}")
-        entries = {key: value for key, value in found.items() if key in QUANTITIES}
+        entries = {key: value for key, value in found.items() if key in CHANNELS}
         valves = {_absolute(name): _sources(entries, clock, path, "")}
         sensors = {_absolute(name): _sensor(found, path, "")}
     _check_kind(valves, time, path)
@@ -241,14 +194,10 @@ def load_force_map(path: Path | str) -> Mapping[str, Source]:
     if not isinstance(found, Mapping):
         raise MapError(f"{path}: found {_short(found)}; expected displacement: and force: with the column of each")
     _check_keys(found, list(FORCE_QUANTITIES), str(path), "")
-    for key, quantity in FORCE_QUANTITIES.items():
+    for key, dimension in FORCE_QUANTITIES.items():
         if key not in found:
-            raise MapError(
-                f"{path}: names no {key}; add {key}: {{column: ..., unit: {next(iter(UNITS[quantity[0]]))}}}"
-            )
-    sources = {
-        key: _source(quantity.dimension, found[key], "", f"{path}: {key}") for key, quantity in FORCE_QUANTITIES.items()
-    }
+            raise MapError(f"{path}: names no {key}; add {key}: {{column: ..., unit: {next(iter(UNITS[dimension]))}}}")
+    sources = {key: _source(dimension, found[key], "", f"{path}: {key}") for key, dimension in FORCE_QUANTITIES.items()}
     for key, source in sources.items():
         if source.topic:
             raise MapError(f"{path}: {key}.topic: found {source.topic}; a table has columns: give column: in its place")
@@ -262,8 +211,8 @@ def _named_valves(found: object, clock: str, path: str) -> dict[str, Mapping[str
     for name, entries in found.items():
         if not isinstance(entries, Mapping):
             raise MapError(f"{path}: valves.{name}: found {_short(entries)}, expected keys such as position:")
-        _check_keys(entries, [*QUANTITIES, "sensor"], path, f"valves.{name}.")
-        own = {key: value for key, value in entries.items() if key in QUANTITIES}
+        _check_keys(entries, [*CHANNELS, "sensor"], path, f"valves.{name}.")
+        own = {key: value for key, value in entries.items() if key in CHANNELS}
         valves[_absolute(name)] = _sources(own, clock, path, f"valves.{name}.")
     return valves
 
@@ -297,11 +246,10 @@ def _sensor(entries: Mapping[Any, Any], path: str, prefix: str) -> DeclaredSenso
 
 def _sources(entries: Mapping[Any, Any], clock: str, path: str, prefix: str) -> Mapping[str, Source]:
     sources = {
-        key: _source(QUANTITIES[key].dimension, value, clock, f"{path}: {prefix}{key}")
-        for key, value in entries.items()
+        key: _source(CHANNELS[key].dimension, value, clock, f"{path}: {prefix}{key}") for key, value in entries.items()
     }
     where = f"{path}: {prefix.rstrip('.')}: " if prefix else f"{path}: "
-    if not {"position", "current", "outlet_pressure"} & set(sources):
+    if not set(JUDGED) & set(sources):
         raise MapError(
             f"{where}names no position; say where it is: position: {{topic: ..., unit: mm}}, or where the coil's "
             "current is: current:"

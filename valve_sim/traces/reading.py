@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from valve_sim.files.recording_map import QUANTITIES, DeclaredSensor
+from valve_sim.files.channels import CHANNELS, COIL_STATE, MAIN, PILOT, SIGNALS, Signal
+from valve_sim.files.recording_map import DeclaredSensor
 from valve_sim.model.drives import Drive
 from valve_sim.signals.long_columns import any_in
 from valve_sim.signals.voltage_steps import NoStepError, find_steps
@@ -17,13 +18,9 @@ from valve_sim.traces.command_dates import dates_by_voltage
 from valve_sim.traces.command_log import Commands, commands_by_logs
 from valve_sim.traces.errors import TraceError
 from valve_sim.traces.layout import (
-    COIL_STATE,
     INPUTS,
-    MAIN,
     MEASURED,
-    PILOT,
     POSITIONS,
-    SIGNALS,
     Plan,
     mapped_plan,
     standard_plan,
@@ -34,7 +31,7 @@ from valve_sim.traces.message_fields import missing_field, stamps_of, values_of
 from valve_sim.traces.samples import Readings, Samples, in_order, is_broken
 from valve_sim.traces.storage import Recording, read_recording
 from valve_sim.traces.table_reading import is_table, read_table_trace, standard_map
-from valve_sim.traces.trace import DriveErrors, Signal, Trace
+from valve_sim.traces.trace import DriveErrors, Trace
 from valve_sim.traces.trouble import find_problems
 
 if TYPE_CHECKING:
@@ -132,7 +129,7 @@ class _Assembly:
         # Of a node's output nothing has to be estimated; a sensor's first sample would be an error of the start.
         start = None if outlet is None or not self.plan.is_live else float(outlet.values[0])
         if not self.plan.has_positions:
-            signals[SIGNALS[self.plan.primary_signal]] = Signal(times, pilot)
+            signals[SIGNALS[self.plan.primary_signal].name] = Signal(times, pilot)
             times, pilot, main = np.empty((3, 0))
         trace = Trace(
             source=f"{self.path} ({self.plan.valve})",
@@ -206,7 +203,7 @@ class _Assembly:
         values, without = values_of(decoded.batches, len(times), source)
         if without is not None and np.isnan(values).all():
             raise TraceError(self._no_field(source, without))
-        return source.to_si(values, QUANTITIES[quantity].dimension)
+        return source.to_si(values, CHANNELS[quantity].dimension)
 
     def _no_field(self, source: Source, batch: Batch) -> str:
         found = missing_field(batch, source)
@@ -403,7 +400,7 @@ class _Assembly:
 
     def signals(self, epoch: int, offset: int) -> dict[str, Signal | None]:
         """Return the optional quantities by their names in a trace."""
-        found = {name: self.signal(key, epoch, offset) for key, name in SIGNALS.items()}
+        found = {channel.name: self.signal(key, epoch, offset) for key, channel in SIGNALS.items()}
         if self.plan.map_path and "command" not in self.plan.sources and self._levels_are_input:
             found["coil_voltage"] = None  # its steps are all that is used of it
         return found
