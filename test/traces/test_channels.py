@@ -11,7 +11,7 @@ import pytest
 from valve_sim.files.channels import CHANNELS, SIGNALS, UNITS, Channel, Signal, Signals
 from valve_sim.files.recording_map import map_from
 from valve_sim.model import Drive
-from valve_sim.traces import CSV_COLUMNS, Trace, describe, read_trace, write_bag, write_csv
+from valve_sim.traces import CSV_COLUMNS, Trace, TraceError, describe, read_trace, write_bag, write_csv
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -84,3 +84,17 @@ def test_what_a_sensor_cannot_read_is_said(channel: Channel, tmp_path: Path) -> 
     for readable, is_said in ((values, False), (a_few_below, False), (below, True)):
         write_bag(tmp_path / "a.mcap", recording(channel, readable))
         assert any(channel.title in finding for finding in read_trace(tmp_path / "a.mcap").findings) == is_said
+
+
+def test_a_csv_without_positions_is_a_recording_of_the_current(tmp_path: Path) -> None:
+    nothing, current = np.full(len(TIMES), np.nan), np.sin(1e2 * TIMES)
+    columns = dict.fromkeys(CSV_COLUMNS, nothing) | {"time": TIMES, "coil_current": current}
+    write_csv(tmp_path / "a.csv", columns | {"coil_voltage": np.where(TIMES < 10e-3, 0.0, 9.0)})
+    found = read_trace(tmp_path / "a.csv")
+    assert not found.has_positions
+    assert found.primary_signal == "current"
+    assert np.array_equal(found.primary_samples.values, current)
+    columns |= {"coil_current": nothing, "coil_voltage": np.where(TIMES < 10e-3, 0.0, 9.0)}
+    write_csv(tmp_path / "b.csv", columns)
+    with pytest.raises(TraceError, match="pilot_position: no finite position"):
+        read_trace(tmp_path / "b.csv")

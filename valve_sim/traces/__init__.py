@@ -9,7 +9,7 @@ from valve_sim.traces.strokes import StrokePart, command_strokes, find_stroke_pa
 from valve_sim.traces.summary import Gap, Rate, TraceSummary, describe
 from valve_sim.traces.trace import DriveErrors, Trace
 from valve_sim.traces.trouble import another_valve, doubtful_units, left_out_finding, refuse_doubtful_units
-from valve_sim.traces.writing import CSV_COLUMNS, BagRecorder, commanded_voltage, write_bag, write_bags, write_csv
+from valve_sim.traces.writing import CSV_COLUMNS, BagRecorder, write_bag, write_bags, write_csv
 
 __all__ = [
     "CSV_COLUMNS",
@@ -27,7 +27,6 @@ __all__ = [
     "TraceSummary",
     "another_valve",
     "command_strokes",
-    "commanded_voltage",
     "describe",
     "doubtful_units",
     "events_from_sensors",

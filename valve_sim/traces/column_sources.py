@@ -91,11 +91,10 @@ class TableRows:
         return Series(f"column {label}", self._times, self._table.column(label)[self._kept])
 
     def _named(self, key: str, name: object) -> str:
-        text, names = self._map.text(key, name), self._table.names
-        if text not in names and not (text.isdigit() and 1 <= int(text) <= len(names)):
-            raise self._map.fail(
-                key, f"column {text} is not in {self._path}; it has {', '.join(names[:20])}; name one of these"
-            )
+        text = self._map.text(key, name)
+        if not self._table.has(text):
+            listed = ", ".join(self._table.names[:20])
+            raise self._map.fail(key, f"column {text} is not in {self._path}; it has {listed}; name one of these")
         return text
 
     def _read_times(self, found: object) -> tuple[Array, NDArray[np.bool_]]:
@@ -167,24 +166,12 @@ class BagTopics:
             raise self._map.fail(
                 f"{key}.topic", f"{topic} is not in {self._path}; it has {', '.join(sorted(types)[:20])}; name one"
             )
-        found = self._recording.topics.get(topic)
-        if found is None:
-            raise TraceError(f"{self._path}: topic {topic} holds no message; record it while the machine works")
-        if found.decoded is None:
-            raise TraceError(
-                f"{self._path}: topic {topic} is {types[topic]}, whose definition the recording does not hold; "
-                "record it as MCAP, or publish a standard type"
-            )
-        if not found.decoded.batches:
-            raise TraceError(
-                f"{self._path}: topic {topic}: none of {found.size} messages can be read as {types[topic]}; "
-                "record it again"
-            )
-        readings, without = values_of(found.decoded.batches, found.size, source)
+        times, decoded = self._recording.decoded(self._path, topic)
+        readings, without = values_of(decoded.batches, len(times), source)
         if without is not None and np.isnan(readings).all():
             raise self._map.fail(key, f"topic {topic} of {self._path} {missing_field(without, source)}")
-        batches = () if source.clock == "bag" else found.decoded.batches
-        stamps, is_stamped = stamps_of(batches, found.bag_times, may_be_zero=False)
+        batches = () if source.clock == "bag" else decoded.batches
+        stamps, is_stamped = stamps_of(batches, times, may_be_zero=False)
         if source.clock == "header" and not is_stamped.any():
             raise self._map.fail(
                 f"{key}.clock", f"header, but the messages of {topic} ({types[topic]}) have no stamp; use clock: bag"

@@ -157,24 +157,11 @@ class _Assembly:
     def decoded(self, source: Source) -> tuple[PackedTimes, Decoded]:
         """Return bag times and numbers of a topic's messages, of which at least one must be readable."""
         topic = source.topic
-        found = self.recording.topics.get(topic)
-        if found is None:
-            raise TraceError(f"{self.path}: topic {topic} holds no message; record it while the valve works")
-        count, decoded = found.size, found.decoded
-        message_type = self.recording.types[topic]
-        if decoded is None:
-            raise TraceError(
-                f"{self.path}: topic {topic} is {message_type}, whose definition the recording does not hold; "
-                "record it as MCAP, or publish a standard type"
-            )
-        if not decoded.batches:
-            raise TraceError(
-                f"{self.path}: topic {topic}: none of {count} messages can be read as {message_type}; record it again"
-            )
+        times, decoded = self.recording.decoded(self.path, topic)
         if topic not in self._reported:
             self._reported.add(topic)
-            self._report(topic, decoded, count)
-        return found.bag_times, decoded
+            self._report(topic, decoded, len(times))
+        return times, decoded
 
     def _report(self, topic: str, decoded: Decoded, count: int) -> None:
         if decoded.malformed:

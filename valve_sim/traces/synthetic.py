@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from valve_sim.files.channels import Signal
 from valve_sim.files.tables import TableError, read_table
+from valve_sim.files.yaml_files import read_yaml
 from valve_sim.model import Drive, Response, Valve, ValveError, simulate
 from valve_sim.traces.trace import Trace
 from valve_sim.traces.writing import CSV_COLUMNS
@@ -157,12 +157,7 @@ def _measured(clean: Array, sensor: Sensor, random: np.random.Generator) -> Arra
 
 
 def _yaml_rows(path: Path | str) -> Array:
-    try:
-        found = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise TableError(f"{path}: cannot be read ({error.strerror}); {_PROFILE_FORM}") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise TableError(f"{path}: {' '.join(str(error).split())}; {_PROFILE_FORM}") from error
+    found = read_yaml(path, _PROFILE_FORM, TableError)
     if not isinstance(found, list) or not found:
         raise TableError(f"{path}: found {str(found)[:60]!r}; {_PROFILE_FORM}")
     return np.array([_yaml_row(path, number, row) for number, row in enumerate(found, start=1)])
@@ -172,7 +167,6 @@ def _yaml_row(path: Path | str, number: int, row: object) -> tuple[float, float]
     pair = [row.get("time"), row.get("volts")] if isinstance(row, Mapping) else row
     if isinstance(pair, Sequence) and len(pair) == 2:
         try:
-            # Through text, because YAML 1.1 takes 1e-3 for a word.
             time, volts = (float(str(value)) for value in pair)
         except ValueError:
             pass

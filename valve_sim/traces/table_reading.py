@@ -99,8 +99,7 @@ class _TableAssembly:
 
     def trace(self, valve: str) -> Trace:
         """Put the trace together."""
-        judged = next(key for key in JUDGED if key in self.sources)
-        pilot = self.column(judged)
+        judged, pilot = self.judged()
         times, kept = self.times(len(pilot))
         finite = np.isfinite(pilot)
         if not (finite & kept).any():
@@ -136,6 +135,18 @@ class _TableAssembly:
         trouble = find_problems(trace, self.sources[judged].name, self.sources[self.input].name)
         return replace(trace, findings=(*self.findings, *trouble))
 
+    def judged(self) -> tuple[str, Array]:
+        """What the valve is judged by, and its numbers.
+
+        A CSV of this package has an empty column where no position was measured: it is then the next.
+        """
+        recorded = [key for key in JUDGED if key in self.sources]
+        for key in recorded if self.map.path == str(self.path) else recorded[:1]:
+            values = self.column(key)
+            if np.isfinite(values).any():
+                return key, values
+        raise TraceError(f"{self.path}: {self.sources[recorded[0]].name}: no finite {recorded[0]}; name another column")
+
     @property
     def input(self) -> str:
         return "command" if "command" in self.sources else "voltage"
@@ -153,11 +164,10 @@ class _TableAssembly:
 
     def check_column(self, key: str, column: str) -> None:
         """Refuse a column that the table does not have, with the map's key."""
-        names = self.table.names
-        if column not in names and not (column.isdigit() and 1 <= int(column) <= len(names)):
+        if not self.table.has(column):
             raise TraceError(
-                f"{self.map.path}: {key}: column {column} is not in {self.path}; it has {', '.join(names)}; "
-                "name one of these"
+                f"{self.map.path}: {key}: column {column} is not in {self.path}; it has "
+                f"{', '.join(self.table.names)}; name one of these"
             )
 
     def times(self, rows: int) -> tuple[Array, NDArray[np.bool_]]:

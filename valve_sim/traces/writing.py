@@ -358,11 +358,3 @@ def write_csv(path: str | PathLike[str], columns: Mapping[str, ArrayLike]) -> No
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(names)
         writer.writerows(zip(*table, strict=True))
-
-
-def commanded_voltage(
-    trace_times: NDArray[np.float64], times: NDArray[np.float64], volts: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return the voltage held at each sample, V: commands of `volts` at `times` (ascending), 0 V before the first."""
-    place = np.searchsorted(times, trace_times, side="right")
-    return np.concatenate([[0.0], volts])[place]
