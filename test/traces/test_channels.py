@@ -10,8 +10,9 @@ import pytest
 
 from valve_sim.files.channels import CHANNELS, SIGNALS, UNITS, Channel, Signal, Signals
 from valve_sim.files.recording_map import map_from
-from valve_sim.model import Drive
+from valve_sim.model import Drive, ValveParameters
 from valve_sim.traces import CSV_COLUMNS, Trace, TraceError, describe, read_trace, write_bag, write_csv
+from valve_sim.traces.map_draft import draft_map
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -28,7 +29,8 @@ def readings(channel: Channel) -> np.ndarray:
     least, most = (
         bound if np.isfinite(bound) else end for bound, end in zip(channel.bounds, (0.0, 100.0), strict=True)
     )
-    return least + (most - least) * (1.0 + np.arange(len(TIMES))) / (2.0 + len(TIMES))
+    # 37 and 400 have no common divisor. What only grows would be taken for a counter.
+    return least + (most - least) * (1.0 + 37 * np.arange(len(TIMES)) % len(TIMES)) / (2.0 + len(TIMES))
 
 
 def recording(channel: Channel, values: np.ndarray, times: np.ndarray = TIMES) -> Trace:
@@ -54,6 +56,18 @@ def test_a_bag_gives_a_channel_back(channel: Channel, tmp_path: Path) -> None:
     assert signal.values == pytest.approx(values, rel=1e-6 if is_single else 0.0, abs=0.0)
     assert signal.times + 1e-9 * found.epoch_ns == pytest.approx(times, abs=1e-9)
     assert describe(found).signals[channel.name].samples == len(times)
+
+
+@pytest.mark.parametrize(
+    "channel", [c for c in SIGNALS.values() if c.key != "voltage"], ids=lambda channel: channel.key
+)
+def test_a_first_map_names_a_channel_by_its_key(channel: Channel, tmp_path: Path) -> None:
+    drive = Drive.of([10e-3, 30e-3], [9.0, 0.0])
+    write_bag(tmp_path / "a.mcap", replace(recording(channel, readings(channel), TIMES + 50e-6), drive=drive))
+    lines = draft_map(tmp_path / "a.mcap", ValveParameters(), "a test").splitlines()
+    assert channel.own_topic is not None
+    guesses = [line for line in lines if channel.own_topic.topic in line and not line.startswith("#")]
+    assert [guess.partition(":")[0] for guess in guesses] == ([channel.key] if channel.hint else [])
 
 
 @ROWS

@@ -195,7 +195,7 @@ class Signals:
         Signal | None,
         Channel(
             "pressure", "pressure", "input", "inlet pressure", "inlet pressure, absolute",
-            _pressure_of_an_end("inlet_pressure"), bounds=ABSOLUTE, hint=r"press|druck|_bar",
+            _pressure_of_an_end("inlet_pressure"), bounds=ABSOLUTE, hint=r"^(?!.*(outlet|demand)).*(press|druck|_bar)",
         ),
     ] = None  # fmt: skip
     outlet_pressure: Annotated[
@@ -206,7 +206,7 @@ class Signals:
                 Place("measured/outlet_pressure", PRESSURE, "fluid_pressure"),
                 Place("outlet_pressure", PRESSURE, "fluid_pressure", by_node=True),
             ),
-            bounds=ABSOLUTE, is_judged=True,
+            bounds=ABSOLUTE, is_judged=True, hint=r"outlet.*(press|druck|_bar)",
         ),
     ] = None  # fmt: skip
     demand_pressure: Annotated[
@@ -214,7 +214,7 @@ class Signals:
         Channel(
             "demand_pressure", "pressure", "input", "demand pressure",
             "behind the demand's orifice of a valve with gas, absolute; each holds until the next",
-            _pressure_of_an_end("demand_pressure"), bounds=ABSOLUTE,
+            _pressure_of_an_end("demand_pressure"), bounds=ABSOLUTE, hint=r"demand.*(press|druck|_bar)",
         ),
     ] = None  # fmt: skip
     coil_temperature: Annotated[
