@@ -11,11 +11,11 @@ import pytest
 from model.core.cases import CALIBRATED, STROKE
 from model.random_valves import RANGES
 from valve_sim.model import CATALOGUE, Effect, Valve, simulate
-from valve_sim.model.core.runs import Directions, run_sloped
 from valve_sim.model.core.symbols import Motion, Own
 from valve_sim.model.core.tracer import Node, exp, maximum, sin
 from valve_sim.model.errors import ParameterError
 from valve_sim.model.parameters import Parameter
+from valve_sim.model.runs import Directions, run_sloped
 
 TIMES = np.linspace(1e-3, 0.03, 80)
 SHIPPED = {name: entry for name, entry in CATALOGUE.items() if entry.is_of(has_gas=False)}
