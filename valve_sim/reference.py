@@ -18,7 +18,7 @@ from valve_sim.nodes import profile_playing, settings, topics
 from valve_sim.nodes.parameters import NodeParameter
 from valve_sim.nodes.topics import Topic
 from valve_sim.nodes.valve_parameters import table
-from valve_sim.station import archive_tables, dispenser_tables, opcua_tables, plc_tables
+from valve_sim.station import tables as station
 from valve_sim.traces.layout import CHANNELS, COIL, COIL_STATE, MEASURED
 
 _TOPICS: Final = {
@@ -26,16 +26,16 @@ _TOPICS: Final = {
     "identification_node": topics.IDENTIFICATION,
     "monitor_node": topics.MONITOR,
     "command_profile": topics.PROFILE,
-    "dispenser_node": dispenser_tables.TOPICS,
-    "opcua_node": opcua_tables.TOPICS,
-    "plc_node": plc_tables.TOPICS,
-    "archive_node": archive_tables.TOPICS,
+    "dispenser_node": station.DISPENSER_TOPICS,
+    "opcua_node": station.OPCUA_TOPICS,
+    "plc_node": station.PLC_TOPICS,
+    "archive_node": station.ARCHIVE_TOPICS,
 }
 _STATION: Final = {
-    "dispenser_node": dispenser_tables.PARAMETERS,
-    "opcua_node": opcua_tables.PARAMETERS,
-    "plc_node": plc_tables.PARAMETERS,
-    "archive_node": archive_tables.PARAMETERS,
+    "dispenser_node": station.DISPENSER,
+    "opcua_node": station.OPCUA,
+    "plc_node": station.PLC,
+    "archive_node": station.ARCHIVE,
 }
 _LONGEST_TEXT: Final = 60
 _OF_TOPICS: Final = ("name", "type", "direction", "QoS", "unit", "what")

@@ -11,9 +11,9 @@ import pytest
 from nodes.ros_process import ENDS_WITHIN, Probe, own_lines, piped
 
 from valve_sim.model import ParameterError
-from valve_sim.station.archive_tables import ArchiveSettings, archive_settings
 from valve_sim.station.figures import Report, finding_report, stroke_report
 from valve_sim.station.keeping import Keeper
+from valve_sim.station.tables import ArchiveSettings, archive_settings
 
 from .test_figures import FINDING, STROKE, SUMMARY
 

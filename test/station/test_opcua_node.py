@@ -14,8 +14,8 @@ import pytest
 from nodes.ros_process import ENDS_WITHIN, Probe, own_lines, piped
 
 from valve_sim.model import ParameterError
-from valve_sim.station.extras import require
-from valve_sim.station.opcua_tables import OpcUaSettings, opcua_settings
+from valve_sim.nodes.starting import Extra
+from valve_sim.station.tables import OpcUaSettings, opcua_settings
 
 from .test_figures import FINDING, STROKE, SUMMARY
 
@@ -42,7 +42,7 @@ def test_a_missing_library_is_one_line_that_says_what_to_install() -> None:
 
     mend = r"pip install '\.\[opcua\]' in a checkout"
     with pytest.raises(ValveError, match=rf"the OPC UA server needs asyncuax, .*; {mend}"):
-        require("asyncuax", "opcua", "the OPC UA server")
+        Extra("asyncuax", "opcua", "the OPC UA server").require()
 
 
 def node(folder: Path) -> tuple[str, ...]:

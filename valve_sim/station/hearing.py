@@ -48,7 +48,7 @@ class StationEar:
             interface.receive(self._inbox, "{monitor}/stroke_report", take, monitor=monitor)
             interface.receive(self._inbox, "{monitor}/finding", partial(self._take_finding, valve), monitor=monitor)
             if is_live:
-                hear_live(interface, self._inbox, valve, partial(self._show, valve))
+                hear_live(interface, self._inbox, self._inbox, valve, partial(self._show, valve))
         interface.receive(self._inbox, "/diagnostics", self._diagnose)
 
     def look(self) -> None:
@@ -94,17 +94,26 @@ class StationEar:
                 self._tell(Report(valve, utc(stamp), values))
 
 
-def hear_live(interface: Interface, inbox: Inbox, valve: str, take: Callable[[str, Any, Arrival], None]) -> None:
-    """Receive what a valve says often; `take` is handed the topic's name, its value, and when it came."""
+def hear_live(
+    interface: Interface, inbox: Inbox, seldom: Inbox, valve: str, take: Callable[[str, Any, Arrival], None]
+) -> None:
+    """Receive what a valve says often.
 
-    def hear(name: str, field: str) -> None:
+    Args:
+        interface: subscribes. inbox: receives. seldom: receives the coil's current, which comes at the rate of the
+            valve and of which only the latest counts. valve: full name of its node.
+        take: is handed the topic's name, its value, and when it came.
+    """
+
+    def hear(place: Inbox, name: str, field: str) -> None:
         interface.receive(
-            inbox,
+            place,
             f"{{valve}}/{name}",
             lambda message, arrival: take(name, getattr(message, field), arrival),
             valve=valve,
         )
 
-    for name in ("phase", "is_open", "coil_current"):
-        hear(name, "data")
-    hear("outlet_pressure", "fluid_pressure")
+    hear(inbox, "phase", "data")
+    hear(inbox, "is_open", "data")
+    hear(inbox, "outlet_pressure", "fluid_pressure")
+    hear(seldom, "coil_current", "data")
