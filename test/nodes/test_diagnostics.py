@@ -20,7 +20,7 @@ from valve_sim.nodes.diagnostics import (
     valve_status,
 )
 from valve_sim.nodes.live_valve import LiveValve
-from valve_sim.nodes.monitor_status import InputCount
+from valve_sim.nodes.monitor_work import InputCount
 from valve_sim.nodes.realtime import Timing
 
 GOOD = Timing(999.0, 1e-4, 2, 0, 0, 999, 2)

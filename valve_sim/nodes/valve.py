@@ -22,10 +22,9 @@ from valve_sim.files.parameter_sections import Section
 from valve_sim.model import ParameterError, Phase, Valve
 from valve_sim.nodes import topics
 from valve_sim.nodes.diagnostics import Level, Reminder, Status, command_status, timing_status, valve_status
-from valve_sim.nodes.gas_topics import GasTopics
 from valve_sim.nodes.live_valve import LiveValve, Step, self_test
 from valve_sim.nodes.messages import IS_OPEN, PHASE, ReadingMessages
-from valve_sim.nodes.obeyed_topic import BETWEEN_WARNINGS, ObeyedTopic
+from valve_sim.nodes.obeyed_topics import BETWEEN_WARNINGS, GasTopics, ObeyedTopic
 from valve_sim.nodes.parameters import Value, as_declared, changed_words, settings_of
 from valve_sim.nodes.realtime import NANOSECONDS, Restart, SubscriberCounts, Worker
 from valve_sim.nodes.receiving import Inbox

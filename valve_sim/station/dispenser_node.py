@@ -15,11 +15,10 @@ from sensor_msgs.msg import FluidPressure
 from std_msgs.msg import Float64
 
 from valve_sim.files.parameter_sections import Section
-from valve_sim.nodes.commanding import CommandingNode
 from valve_sim.nodes.realtime import NANOSECONDS, Arrival, Restart, Worker
 from valve_sim.nodes.receiving import Inbox
 from valve_sim.nodes.starting import STOP_SECONDS
-from valve_sim.nodes.wiring import Interface, declared, full_name
+from valve_sim.nodes.wiring import CommandingNode, Interface, declared, full_name
 from valve_sim.station.dispenser import Dispensed, Dispenser
 from valve_sim.station.tables import DISPENSER, DISPENSER_TOPICS, DispenserSettings, dispenser_settings
 

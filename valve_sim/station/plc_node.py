@@ -17,10 +17,9 @@ from std_msgs.msg import Float64
 
 from valve_sim.files.parameter_sections import Section
 from valve_sim.files.whole_files import write_whole
-from valve_sim.nodes.commanding import CommandingNode
 from valve_sim.nodes.realtime import Arrival
 from valve_sim.nodes.receiving import Inbox
-from valve_sim.nodes.wiring import Interface, declared, full_name
+from valve_sim.nodes.wiring import CommandingNode, Interface, declared, full_name
 from valve_sim.station.hearing import hear_live
 from valve_sim.station.modbus import PlcClient, PlcServer, Side, SideThread
 from valve_sim.station.plc import PlcStation, map_csv
