@@ -24,6 +24,10 @@ def test_settings_are_checked_in_one_line() -> None:
     assert opcua_settings({}, {}) == OpcUaSettings()
     two = opcua_settings({"valves": ["a", "b"], "monitors": ["c", "d"]}, {})
     assert two.serial_numbers == ("", "")
+    one_known = {"valves": ["a", "b"], "monitors": ["c", "d"], "serial_numbers": ["", "SN-7"]}
+    assert opcua_settings(one_known, {}).serial_numbers == ("", "SN-7"), "that of one valve may be unknown"
+    dumped = {name: list(value) if isinstance(value, tuple) else value for name, value in two._asdict().items()}
+    assert opcua_settings(dumped, {}) == two, "what `ros2 param dump` writes can be given back"
     for given, words in (
         ({"valves": ["a", "b"]}, "monitors: found 1, expected 2, one for each of valves"),
         ({"port": 70000}, "command line: port: found 70000, expected a number from 1 to 65535"),
