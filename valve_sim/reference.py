@@ -63,8 +63,8 @@ def _topics() -> Iterator[str]:
             yield _table(_OF_TOPICS, [_topic(entry) for entry in topics.GAS])
     yield (
         "`<valve>` and `<measured>` are parameters of monitor_node; `<sensors>` is where `<measured>` is. Of "
-        "the station's nodes `<valve>` is each of their parameter `valves`, and `<monitor>` of `monitors`. `<end>` is "
-        "inlet_pressure and demand_pressure: "
+        "the station's nodes `<valve>` is each of their parameter `valves`, and `<monitor>` of `monitors`; "
+        "`<alarms>` is one of archive_node. `<end>` is inlet_pressure and demand_pressure: "
         "beside a simulated valve (`<sensors>` is `<valve>`) those that it obeys are heard, beside another its "
         "sensors, and where neither comes what the valve is told."
     )

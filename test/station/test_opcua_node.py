@@ -93,11 +93,13 @@ def test_what_is_said_on_topics_is_read_and_methods_call_services(probe: Probe, 
             talker.publish(message)
 
     probe.node.create_timer(0.3, publish)
+    answers = probe.hear("/opcua/alarms", DiagnosticArray)
     program = node(tmp_path / "server")
     with piped(tmp_path, program, port=port, address="127.0.0.1") as process, ThreadPoolExecutor(1) as pool:
         asked = pool.submit(asyncio.run, _operate(f"opc.tcp://127.0.0.1:{port}/valve_sim/", identity))
         assert probe.until(asked.done)
         values, stamp, methods = asked.result()
+        assert probe.until(lambda: answers), "a person has shelved the alarm"
         process.send_signal(signal.SIGINT)
         _, said = process.communicate(timeout=ENDS_WITHIN)
     assert process.returncode == 0, said
@@ -108,6 +110,11 @@ def test_what_is_said_on_topics_is_read_and_methods_call_services(probe: Probe, 
     assert stamp == datetime(2026, 9, 21, 14, 13, 20, 250000, timezone.utc)
     assert methods["Recommission"] == [True, "the next 20 strokes are taken"]
     assert methods["SelfTest"] == [False, "/valve/self_test: no node offers this service; start it"]
+    (shelved,) = answers[0].status
+    assert (shelved.name, shelved.level) == ("opcua: valve", b"\x01")
+    assert shelved.message.startswith("shelved until it is inactive by ")
+    told = {entry.key: entry.value for entry in shelved.values}
+    assert (told["valve"], told["shelved"]) == ("/valve", "true") and shelved.message.endswith(f" by {told['user']}")
     assert any("ready: opc.tcp://127.0.0.1" in line for line in own_lines(said))
 
 
@@ -134,6 +141,7 @@ async def _operate(endpoint: str, identity: Any) -> tuple[dict[str, Any], dateti
             stamp = read.SourceTimestamp
     valve = client.get_node(ua.NodeId("valve", index))
     methods = {name: await valve.call_method(f"{index}:{name}") for name in ("Recommission", "SelfTest")}
+    await client.get_node(ua.NodeId("valve.Alarm.ShelvingState", index)).call_method("0:OneShotShelve")
     await client.disconnect()
     return values, stamp, methods
 

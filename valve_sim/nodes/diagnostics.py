@@ -42,20 +42,6 @@ class Status(NamedTuple):
     values: dict[str, str]
 
 
-class Rejections(NamedTuple):
-    """Messages that were ignored.
-
-    Attributes:
-        total: how many, in all. now: those of them since the last look.
-        last: the number in the last of them. is_last: whether no good one has come since.
-    """
-
-    total: int
-    now: int
-    last: float
-    is_last: bool
-
-
 def timing_status(timing: Timing, rate_wanted: float, waiting_for: str) -> Status:
     """Whether the node keeps pace with its clock; `waiting_for`: what it cannot step without, or empty."""
     values = {
@@ -81,23 +67,57 @@ def timing_status(timing: Timing, rate_wanted: float, waiting_for: str) -> Statu
     return Status("timing", Level.OK, "keeps pace", values)
 
 
-def command_status(live: LiveValve, now: int, rejections: Rejections, incompatible_publishers: int) -> Status:
+class RejectionCount:
+    """Counts commands, or pressures, that are ignored; one thread counts, another looks.
+
+    Attributes:
+        rejected: how many, in all.
+    """
+
+    def __init__(self) -> None:
+        self.rejected = 0
+        self._last = math.nan
+        self._is_last_rejected = False
+        self._before = 0
+
+    def accept(self) -> None:
+        """Count one that is obeyed."""
+        self._is_last_rejected = False
+
+    def reject(self, value: float) -> None:
+        """Count one that is ignored."""
+        self.rejected += 1
+        self._last = value
+        self._is_last_rejected = True
+
+    def words(self, unit: str) -> str:
+        """That something was rejected since this was last asked, or last of all; empty if not."""
+        rejected = self.rejected
+        now, self._before = rejected - self._before, rejected
+        if now:
+            return f"{now} rejected, the last of {self._last:g} {unit}; the last good one stays"
+        if self._is_last_rejected:
+            return f"the last, of {self._last:g} {unit}, was rejected; the last good one stays"
+        return ""
+
+
+def command_status(live: LiveValve, now: int, count: RejectionCount, incompatible_publishers: int) -> Status:
     """Whether commands arrive and are accepted.
 
     Args:
         live: obeys them. now: time of its clock, ns.
-        rejections: of commands that were not finite or beyond max_voltage.
+        count: of commands that were not finite or beyond max_voltage.
         incompatible_publishers: how many publishers offer an incompatible QoS now.
     """
     age = math.nan if live.last_command is None else (now - live.last_command) / NANOSECONDS
     values = {
         "age (s)": _number(age, ".3f"),
         "voltage (V)": f"{live.volts:g}",
-        "rejected": str(rejections.total),
+        "rejected": str(count.rejected),
         "timed out": str(live.timed_out).lower(),
         "publishers of incompatible QoS": str(incompatible_publishers),
     }
-    if message := _rejected(rejections, "V"):
+    if message := count.words("V"):
         return Status("command", Level.WARN, message, values)
     if live.timed_out:
         return Status("command", Level.WARN, "none for longer than command_timeout: coil de-energised", values)
@@ -109,14 +129,14 @@ def command_status(live: LiveValve, now: int, rejections: Rejections, incompatib
     return Status("command", Level.OK, "none yet" if math.isnan(age) else "accepted", values)
 
 
-def pressure_status(task: str, pressure: float, rejections: Rejections, incompatible_publishers: int) -> Status:
+def pressure_status(task: str, pressure: float, count: RejectionCount, incompatible_publishers: int) -> Status:
     """Whether what is heard of the tank's or the demand's pressure is accepted; `pressure`, Pa, is the one in force."""
     values = {
         "pressure (Pa)": f"{pressure:g}",
-        "rejected": str(rejections.total),
+        "rejected": str(count.rejected),
         "publishers of incompatible QoS": str(incompatible_publishers),
     }
-    if message := _rejected(rejections, "Pa"):
+    if message := count.words("Pa"):
         return Status(task, Level.WARN, message, values)
     if incompatible_publishers:
         return Status(task, Level.WARN, unheard_words(incompatible_publishers), values)
@@ -141,41 +161,6 @@ def valve_status(live: LiveValve, failure: str, duplicates: int) -> Status:
     if duplicates:
         return Status("valve", Level.WARN, "another node has this name, and publishes on the same topics", values)
     return Status("valve", Level.OK, live.phase.name.lower(), values)
-
-
-class RejectionCount:
-    """Counts rejected commands, or rejected pressures, of one thread; another may look."""
-
-    def __init__(self) -> None:
-        self.rejected = 0
-        self.last_rejected = math.nan
-        self._before = 0
-        self._is_last_rejected = False
-
-    def accept(self) -> None:
-        """Count one that is obeyed."""
-        self._is_last_rejected = False
-
-    def reject(self, value: float) -> None:
-        """Count one that is ignored."""
-        self.rejected += 1
-        self.last_rejected = value
-        self._is_last_rejected = True
-
-    def rejections(self) -> Rejections:
-        """What was ignored, in all and since the last look."""
-        rejected = self.rejected
-        since, self._before = rejected - self._before, rejected
-        return Rejections(rejected, since, self.last_rejected, self._is_last_rejected)
-
-
-def _rejected(rejections: Rejections, unit: str) -> str:
-    """That something was rejected since the last look, or last of all; empty if not."""
-    if rejections.now:
-        return f"{rejections.now} rejected, the last of {rejections.last:g} {unit}; the last good one stays"
-    if rejections.is_last:
-        return f"the last, of {rejections.last:g} {unit}, was rejected; the last good one stays"
-    return ""
 
 
 def unheard_words(publishers: int) -> str:

@@ -131,4 +131,4 @@ class GasTopics:
             ("inlet pressure", self._inlet, live.inlet_pressure),
             ("demand pressure", self._demand, live.demand_pressure),
         ):
-            yield pressure_status(task, pressure, heard.count.rejections(), heard.source.incompatible_publishers)
+            yield pressure_status(task, pressure, heard.count, heard.source.incompatible_publishers)

@@ -262,7 +262,7 @@ class ValveNode(RosNode):
                 self._node.get_logger().warning(line)
         yield timing
         heard = self._voltage
-        yield command_status(live, now, heard.count.rejections(), heard.source.incompatible_publishers)
+        yield command_status(live, now, heard.count, heard.source.incompatible_publishers)
         yield valve_status(live, self._failure, self._duplicates.look())
         if self._gas is not None:
             yield from self._gas.statuses()

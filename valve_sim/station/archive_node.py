@@ -49,7 +49,10 @@ class ArchiveNode(RosNode):
         valves = [full_name(self._node, name, "valves") for name in settings.valves]
         monitors = [full_name(self._node, name, "monitors") for name in settings.monitors]
         interface = Interface(self._node, ARCHIVE_TOPICS)
-        self._ear = StationEar(self._node, self._clock, interface, valves, monitors, self._take, is_live=False)
+        alarms = full_name(self._node, settings.alarms, "alarms")
+        self._ear = StationEar(
+            self._node, self._clock, interface, valves, monitors, self._take, is_live=False, alarms=alarms
+        )
         for valve in valves:
             interface.serve("{valve}/serviced", guarded(partial(self._note_service, valve)), valve=valve)
         every(self._node, _PERIOD, self._look)

@@ -27,6 +27,7 @@ class StationEar:
         valves, monitors: full names of their nodes, in one order.
         tell: is handed each report.
         is_live: whether to hear phase, is_open, current and pressure of the valves, too.
+        alarms: the topic on which an opcua_node says what people did to alarms; empty: not heard.
     """
 
     def __init__(
@@ -39,6 +40,7 @@ class StationEar:
         tell: Callable[[Report], None],
         *,
         is_live: bool,
+        alarms: str = "",
     ) -> None:
         self._node, self._tell = node, tell
         self._pairs = list(zip(valves, monitors, strict=True))
@@ -50,6 +52,8 @@ class StationEar:
             if is_live:
                 hear_live(interface, self._inbox, self._inbox, valve, partial(self._show, valve))
         interface.receive(self._inbox, "/diagnostics", self._diagnose)
+        if alarms:
+            interface.receive(self._inbox, "{alarms}", self._take_answer, alarms=alarms)
 
     def look(self) -> None:
         """Take all that has come since the last look."""
@@ -73,6 +77,17 @@ class StationEar:
             self._tell(read()._replace(valve=valve))
         except ValveError as error:
             self._node.get_logger().warning(f"a report of {valve} is left out: {error}", throttle_duration_sec=10.0)
+
+    def _take_answer(self, message: DiagnosticArray, arrival: Arrival) -> None:
+        stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+        for status in message.status:
+            said = {entry.key: entry.value for entry in status.values}
+            if any(said.get("valve") == valve for valve, _ in self._pairs):
+                values: Values = {"Answer.Level": status.level[0], "Answer.Message": status.message}
+                values |= {"Answer.User": said.get("user", ""), "Answer.Comment": said.get("comment", "")}
+                self._tell(
+                    Report(said["valve"], utc(stamp), {**values, "Answer.IsShelved": said.get("shelved") == "true"})
+                )
 
     def _diagnose(self, message: DiagnosticArray, arrival: Arrival) -> None:
         stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec

@@ -16,8 +16,12 @@ from std_srvs.srv import Trigger
 
 from valve_sim.files.parameter_sections import Section
 from valve_sim.model.errors import ValveError
+from valve_sim.nodes.diagnostics import Level, Status
+from valve_sim.nodes.messages import diagnostic_array
+from valve_sim.nodes.realtime import NANOSECONDS
 from valve_sim.nodes.threads import Repeating
 from valve_sim.nodes.wiring import Interface, RosNode, declared, full_name
+from valve_sim.station.alarms import Alarm
 from valve_sim.station.hearing import StationEar
 from valve_sim.station.opcua_server import ServedValve, ServerThread, Settings, StationServer
 from valve_sim.station.tables import OPCUA, OPCUA_TOPICS, OpcUaSettings, opcua_settings
@@ -57,10 +61,12 @@ class OpcUaNode(RosNode):
             served,
             recommission=partial(self._call, "recommission"),
             self_test=partial(self._call, "self_test"),
+            told=self._tell,
         )
+        interface = Interface(self._node, OPCUA_TOPICS)
+        self._alarms = interface.publisher("~/alarms")
         thread = ServerThread(server, self._fail)
         thread.start()
-        interface = Interface(self._node, OPCUA_TOPICS)
         ear = StationEar(self._node, self._clock, interface, valves, monitors, thread.put, is_live=True)
         hearing = Repeating("hearing", ear.look, lambda: _PERIOD, self._fail)
         hearing.start()
@@ -70,7 +76,20 @@ class OpcUaNode(RosNode):
             f"{folder / 'trusted'}; those of others are kept in {folder / 'rejected'}"
         )
 
-    # --- methods, in the server's thread ---
+    # --- in the server's thread ---
+
+    def _tell(self, valve: str, words: str, alarm: Alarm) -> None:
+        """Publish what a person did to an alarm, for whoever keeps it."""
+        values = {
+            "valve": valve,
+            "user": alarm.user,
+            "comment": alarm.comment,
+            "shelved": str(alarm.is_shelved).lower(),
+        }
+        status = Status(valve.lstrip("/"), Level(alarm.level), words, values)
+        if self._node.context.ok():
+            name = self._node.get_fully_qualified_name()
+            self._alarms.publish(diagnostic_array([status], name, round(alarm.time * NANOSECONDS)))
 
     async def _call(self, name: str, valve: str) -> tuple[bool, str]:
         client = self._services[name, valve]

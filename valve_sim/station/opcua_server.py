@@ -47,6 +47,15 @@ _ANSWERS: Final = {"Acknowledge": 9111, "Confirm": 9113, "AddComment": 9029}
 """Methods by which a person answers an alarm, and the node of each in the alarm's type, which clients call, too."""
 _SHELVES: Final = {"TimedShelve": 2949, "OneShotShelve": 2948, "Unshelve": 2947}
 """Methods by which a person shelves an alarm, as `_ANSWERS`."""
+_DONE: Final = {
+    "Acknowledge": "acknowledged",
+    "Confirm": "confirmed",
+    "AddComment": "commented",
+    "TimedShelve": "shelved for a time",
+    "OneShotShelve": "shelved until it is inactive",
+    "Unshelve": "taken from the shelf",
+}
+"""What a person has done by each method, in words."""
 _SHELVED: Final = {
     Shelving.UNSHELVED: ("Unshelved", 2930),
     Shelving.TIMED: ("TimedShelved", 2932),
@@ -58,6 +67,8 @@ _BETWEEN_LOOKS: Final = 1.0
 
 Action = Callable[[str], Awaitable[tuple[bool, str]]]
 """What a method does, given the valve: whether it was done, and what to say."""
+Told = Callable[[str, str, Alarm], None]
+"""Told the valve, what has been done to its alarm, in words, and the alarm since then."""
 
 
 class ServedValve(NamedTuple):
@@ -94,12 +105,15 @@ class StationServer:
     Args:
         settings: how it is reached. valves: that are served.
         recommission, self_test: what the methods of a valve do; default: they say that nobody does it.
+        told: called in the server's thread when a person has answered or shelved an alarm, or its shelving is over.
     """
 
     def __init__(
         self, settings: Settings, valves: Sequence[ServedValve], *,
         recommission: Action | None = None, self_test: Action | None = None,
+        told: Told = lambda valve, words, alarm: None,
     ) -> None:  # fmt: skip
+        self._told = told
         self._settings, self._valves = settings, tuple(valves)
         self._actions = {"Recommission": recommission or _nobody, "SelfTest": self_test or _nobody}
         self._alarms_file = settings.folder / "alarms.json"
@@ -340,6 +354,7 @@ class StationServer:
                         continue
                     with contextlib.suppress(ValveError):  # a full disk, say: tried again at the next look
                         await self._change(valve, found)
+                        self._told(valve.name, "taken from the shelf: its time is over", found)
 
     async def _write_model(self, path: Path) -> None:
         with atomic_write(path) as partial:
@@ -369,7 +384,7 @@ class StationServer:
                 answers = {"Acknowledge": alarm.acknowledge, "Confirm": alarm.confirm, "AddComment": alarm.commented}
                 return answers[name](event, words or "", caller(), now, _new_event())
 
-            return await self._told_by_a_person(valve, answered)
+            return await self._told_by_a_person(valve, _DONE[name], answered)
 
         return answer
 
@@ -387,7 +402,7 @@ class StationServer:
                 seconds = 1e-3 * given[0].Value if name == "TimedShelve" else None
                 return alarm.shelve(seconds, caller(), now, _new_event())
 
-            return await self._told_by_a_person(valve, shelved)
+            return await self._told_by_a_person(valve, _DONE[name], shelved)
 
         return shelve
 
@@ -416,7 +431,9 @@ class StationServer:
 
         return refresh  # type: ignore[no-any-return]
 
-    async def _told_by_a_person(self, valve: ServedValve, change: Callable[[Alarm, float], Alarm | Refusal]) -> Any:
+    async def _told_by_a_person(
+        self, valve: ServedValve, done: str, change: Callable[[Alarm, float], Alarm | Refusal]
+    ) -> Any:
         """What a method that changes an alarm returns; the change is kept before it is shown."""
         async with self._writing:
             found = change(self._alarms[valve.name], datetime.now(timezone.utc).timestamp())
@@ -426,6 +443,7 @@ class StationServer:
                 await self._change(valve, found)
             except ValveError:
                 return ua.StatusCode(ua.StatusCodes.BadResourceUnavailable)
+            self._told(valve.name, f"{done} by {found.user}", found)
         return []
 
     # --- alarms ---

@@ -32,12 +32,17 @@ LIVE: Final = (
 """Topics of a valve that are published often; only the latest message counts."""
 ARCHIVE_TOPICS: Final = (
     *SAID,
+    Topic("{alarms}", _DIAGNOSTICS, "in", "who has answered or shelved an alarm over OPC UA", qos=Qos(100)),
     Topic(
         "{valve}/serviced", "std_srvs/srv/Trigger", "service", "keep that it was serviced: its strokes count anew",
         qos=None,
     ),
 )  # fmt: skip
-OPCUA_TOPICS: Final = (*SAID, *LIVE)
+OPCUA_TOPICS: Final = (
+    *SAID,
+    *LIVE,
+    Topic("~/alarms", _DIAGNOSTICS, "out", "each alarm that a person has answered or shelved", qos=Qos(100)),
+)
 PLC_TOPICS: Final = (Topic("{valve}/coil_voltage", _FLOAT, "out", "the command to each of `valves`", "V"), *LIVE)
 DISPENSER_TOPICS: Final = (
     Topic("{valve}/outlet_pressure", _PRESSURE, "in", "behind each of `valves`", "Pa"),
@@ -54,6 +59,7 @@ class ArchiveSettings(NamedTuple):
 
     valves: tuple[str, ...] = ("valve",)
     monitors: tuple[str, ...] = ("monitor",)
+    alarms: str = "opcua/alarms"
     folder: str = "~/.local/share/valve_sim/archive"
     years: float = 10.0
     megabytes: float = 2000.0
@@ -63,6 +69,7 @@ ARCHIVE: Final = table_of(
     ArchiveSettings,
     Words("valves", "the valves of which is kept what is said, relative to this node's namespace"),
     Words("monitors", "the monitor of each valve, in the same order"),
+    Words("alarms", "the topic of an opcua_node that says who has answered or shelved an alarm, relative likewise"),
     Words("folder", "of the archive"),
     Parameter("years", "years", "that are kept", 0.01, 100.0),
     Parameter("megabytes", "MB", "beyond which the oldest months are taken out", 1.0, 1e6),
@@ -73,7 +80,7 @@ def archive_settings(given: Mapping[str, object], sources: Mapping[str, str]) ->
     """The settings to start with; arguments and errors as of `check_given`."""
     settings = settings_of(ArchiveSettings, check_given(given, ARCHIVE, sources, "archive_node"))
     _check_one_each(settings.valves, monitors=settings.monitors)
-    _check_filled(folder=settings.folder)
+    _check_filled(folder=settings.folder, alarms=settings.alarms)
     return settings
 
 
