@@ -9,11 +9,9 @@ Node identifiers are text, "tank_1/valve.Stroke.T1", and stay the same from star
 from __future__ import annotations
 
 import asyncio
-import concurrent.futures
 import contextlib
 import math
 import socket
-import threading
 import uuid
 from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
 from datetime import datetime, timezone
@@ -28,6 +26,7 @@ from valve_sim.files.whole_files import atomic_write
 from valve_sim.model.errors import ValveError
 from valve_sim.station.alarms import SEVERITIES, Alarm, Refusal, Shelving, load_alarms, save_alarms
 from valve_sim.station.figures import BY_PATH, FIGURES, Figure, Report, unit_id, unit_words, utc
+from valve_sim.station.loop_thread import LoopThread
 from valve_sim.station.opcua_history import History
 from valve_sim.station.opcua_security import Gate, NamingServer, Rules, caller, ensure_identity
 
@@ -496,7 +495,7 @@ class StationServer:
             await self._history.stop()
 
 
-class ServerThread:
+class ServerThread(LoopThread):
     """A server in a thread of its own, for callers that have no event loop.
 
     Args:
@@ -504,32 +503,12 @@ class ServerThread:
     """
 
     def __init__(self, server: StationServer, fail: Callable[[Exception], None]) -> None:
+        super().__init__("opcua", server)
         self._server, self._fail = server, fail
-        self._loop = asyncio.new_event_loop()
-        self._thread = threading.Thread(target=self._loop.run_forever, name="opcua", daemon=True)
-
-    def start(self) -> None:
-        """Start the server and wait until it listens.
-
-        Raises:
-            ValveError: it cannot be started.
-        """
-        self._thread.start()
-        asyncio.run_coroutine_threadsafe(self._server.start(), self._loop).result()
 
     def put(self, report: Report) -> None:
         """Hand a report over; it is shown soon."""
-        asyncio.run_coroutine_threadsafe(self._put(report), self._loop)
-
-    def stop(self, timeout: float) -> bool:
-        """End the server; whether it has ended within a time in s."""
-        try:
-            asyncio.run_coroutine_threadsafe(self._server.stop(), self._loop).result(timeout)
-        except concurrent.futures.TimeoutError:
-            return False
-        self._loop.call_soon_threadsafe(self._loop.stop)
-        self._thread.join(timeout)
-        return not self._thread.is_alive()
+        self.run(self._put(report))
 
     async def _put(self, report: Report) -> None:
         try:

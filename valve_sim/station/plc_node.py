@@ -21,7 +21,7 @@ from valve_sim.nodes.realtime import Arrival
 from valve_sim.nodes.receiving import Inbox
 from valve_sim.nodes.wiring import CommandingNode, Interface, declared, full_name
 from valve_sim.station.hearing import hear_live
-from valve_sim.station.modbus import PlcClient, PlcServer, Side, SideThread
+from valve_sim.station.modbus import ModbusThread, PlcClient, PlcServer
 from valve_sim.station.plc import PlcStation, map_csv
 from valve_sim.station.tables import PLC, PLC_TOPICS, PlcSettings, plc_settings
 
@@ -56,7 +56,7 @@ class PlcNode(CommandingNode):
         self._wire()
         if settings.map_file:
             write_whole(Path(settings.map_file).expanduser(), map_csv(self._valves))
-        side = SideThread(self._make_side())
+        side = ModbusThread(self._make_side())
         side.start()
         self._threads.insert(0, side)
         place = f"{settings.plc_host or settings.address}:{settings.port}"
@@ -85,7 +85,7 @@ class PlcNode(CommandingNode):
 
     # --- wiring ---
 
-    def _make_side(self) -> Side:
+    def _make_side(self) -> PlcServer | PlcClient:
         settings = self._settings
         if not settings.plc_host:
             return PlcServer(self._station, settings.address, settings.port)

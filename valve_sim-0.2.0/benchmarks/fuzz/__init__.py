@@ -1,0 +1,301 @@
+"""Inputs that nobody would send on purpose: `python -m benchmarks.fuzz` counts what becomes of them.
+
+Bags are flipped, cut, spliced and repeated; parameter files get wrong values, lines and characters; valves get any
+parameters that are accepted, with gas and without; command lines get all of it, and options that make no sense; a plant
+or a recording of a user's own gets one slip. Each input must be taken, or refused in one line: anything else, and
+whatever takes longer than ten seconds of computing, is a finding, and makes the exit code 1. A surface and a number
+give an input again. `--only topics`: messages to nodes that run, which needs ROS 2 (see `benchmarks.fuzz.topics`).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import signal
+import tempfile
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from types import FrameType
+from typing import Final
+
+import numpy as np
+
+from benchmarks.accuracy import Case, ours
+from benchmarks.fuzz.command_lines import try_command_line
+from benchmarks.fuzz.slips import Outcome, try_plant, try_recording
+from valve_sim.files.parameter_files import load_valve
+from valve_sim.model import CATALOGUE, DECLARED, Drive, Parameter, ParameterError, SimulationError, Valve, simulate
+from valve_sim.model.errors import ValveError
+from valve_sim.traces import list_valves, read_trace
+
+ROOT: Final = Path(__file__).parents[2]
+HANGS_AFTER: Final = 10
+"""s of computing; waiting is given twenty times as long."""
+NASTY: Final = (
+    "nan", ".nan", ".inf", "-.inf", "1e308", "1e400", "-1", "0", "-0.0", "5e-324", "true", "null", "~", "text", "''",
+    "[]", "{}", "[1, 2]", "[[1]]", "0x10", "1_000", "2026-01-01", "!!python/object:os.system x", "&a [*a]", "1e", "|",
+    "'unclosed", "\t", "9" * 400, "é", "\x00",
+)  # fmt: skip
+"""Values that a parameter file may hold where a number is meant."""
+MOST_SLIPS: Final = 1_000_000
+"""Plants and recordings with a slip that can be drawn."""
+GENTLE: Final = 1e-9
+"""m: how far beyond its contacts a valve may be."""
+MASS_IS_LOST: Final = 1e-6
+"""Of the largest mass in a valve with gas, from which on its balance is a finding."""
+
+Random = np.random.Generator
+
+
+class Hang(BaseException):
+    """Raised by the alarm; no `except Exception` shall hide it."""
+
+
+@contextlib.contextmanager
+def limited() -> Iterator[None]:
+    """Raise `Hang` in what computes for too long, or waits for long: a busy machine makes neither of it."""
+
+    def ring(number: int, frame: FrameType | None) -> None:
+        raise Hang(f"took more than {HANGS_AFTER} s")
+
+    before = {number: signal.signal(number, ring) for number in (signal.SIGPROF, signal.SIGALRM)}
+    signal.setitimer(signal.ITIMER_PROF, HANGS_AFTER)
+    signal.setitimer(signal.ITIMER_REAL, 20 * HANGS_AFTER)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+# --- inputs ---
+
+
+def mutated(content: bytes, others: Sequence[bytes], random: Random) -> bytes:
+    """One to three changes of a file."""
+    for _ in range(int(random.integers(1, 4))):
+        content = MUTATIONS[int(random.integers(len(MUTATIONS)))](content, others, random)
+    return content
+
+
+def _place(content: bytes, random: Random) -> int:
+    return int(random.integers(0, max(1, len(content))))
+
+
+def _flip(content: bytes, others: Sequence[bytes], random: Random) -> bytes:
+    changed = bytearray(content)
+    for _ in range(int(random.integers(1, 20)) if changed else 0):
+        changed[_place(content, random)] ^= int(random.integers(1, 256))
+    return bytes(changed)
+
+
+def _cut(content: bytes, others: Sequence[bytes], random: Random) -> bytes:
+    return content[: _place(content, random)]
+
+
+def _drop(content: bytes, others: Sequence[bytes], random: Random) -> bytes:
+    at = _place(content, random)
+    return content[:at] + content[at + int(random.integers(1, 2000)) :]
+
+
+def _repeat(content: bytes, others: Sequence[bytes], random: Random) -> bytes:
+    start, stop = sorted((_place(content, random), _place(content, random)))
+    return content[:stop] + content[start:]
+
+
+def _splice(content: bytes, others: Sequence[bytes], random: Random) -> bytes:
+    other = others[int(random.integers(len(others)))]
+    return content[: _place(content, random)] + other[_place(other, random) :]
+
+
+def _overwrite(content: bytes, others: Sequence[bytes], random: Random) -> bytes:
+    at = _place(content, random)
+    filler = bytes([int(random.choice([0x00, 0xFF, 0x7F]))]) * int(random.integers(1, 64))
+    return content[:at] + filler + content[at + len(filler) :]
+
+
+MUTATIONS: Final[tuple[Callable[[bytes, Sequence[bytes], Random], bytes], ...]] = (
+    _flip, _cut, _drop, _repeat, _splice, _overwrite,
+)  # fmt: skip
+
+
+def bad_bag(random: Random, folder: Path) -> Path:
+    """A changed copy of a shipped bag: a bare file or a rosbag2 folder."""
+    names = ("one_opening.mcap", "live.mcap")
+    contents = [(ROOT / "bags" / name).read_bytes() for name in names]
+    if random.random() < 0.7:
+        path = folder / "bag.mcap"
+        path.write_bytes(mutated(contents[int(random.integers(len(contents)))], contents, random))
+        return path
+    bag = folder / "bag"
+    bag.mkdir()
+    victim = int(random.integers(2))
+    for index, source in enumerate(sorted((ROOT / "bags" / "friction").iterdir())):
+        content = source.read_bytes()
+        (bag / source.name).write_bytes(mutated(content, contents, random) if index == victim else content)
+    return bag
+
+
+def bad_file(random: Random, folder: Path) -> Path:
+    """A changed copy of a shipped parameter file."""
+    lines = (
+        (ROOT / "config" / str(random.choice(["valve.yaml", "published.yaml", "tank_1.yaml"]))).read_text().split("\n")
+    )
+    for _ in range(int(random.integers(1, 4))):
+        at = int(random.integers(len(lines)))
+        kind = int(random.integers(6))
+        if kind == 0 and ":" in lines[at]:
+            lines[at] = f"{lines[at].split(':')[0]}: {NASTY[int(random.integers(len(NASTY)))]}"
+        elif kind == 1:
+            lines[at] = lines[at] + NASTY[int(random.integers(len(NASTY)))]
+        elif kind == 2:
+            lines[at] = " " * int(random.integers(8)) + lines[at].lstrip()
+        elif kind == 3:
+            lines.insert(at, lines[int(random.integers(len(lines)))])
+        elif kind == 4:
+            lines[at] = lines[at].replace("_", random.choice(["-", "", "__"]))
+        else:
+            lines[at : at + 1] = _flip(lines[at].encode(), (), random).decode("latin-1").split("\n")
+    path = folder / "valve.yaml"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    return path
+
+
+def _any_value(parameter: Parameter, random: Random) -> float:
+    """Anywhere in a parameter's range, small values and large ones alike, and its ends."""
+    size = abs(parameter.prior_scale) * 10.0 ** random.uniform(-4.0, 3.0)
+    value = float(random.choice([-1.0, 1.0]) * size)
+    if random.random() < 0.1:
+        value = float(random.choice([parameter.lower, parameter.upper, 0.0]))
+    value = min(max(value, parameter.lower), parameter.upper)
+    return value if math.isfinite(value) else parameter.prior_scale
+
+
+def any_valve(random: Random) -> Valve:
+    """A valve with up to three effects; ParameterError where it would not be accepted."""
+    declared = Valve().with_values(a0=3.0336, coil_time_constant=1e-3).to_mapping()["valve"]
+    for name in random.choice(list(DECLARED), int(random.integers(0, 6)), replace=False):
+        if str(name) in declared:
+            declared[str(name)] = _any_value(
+                DECLARED[str(name)]._replace(prior_scale=declared[str(name)] or 1e-3), random
+            )
+    names = [name for name, effect in CATALOGUE.items() if effect.named]
+    effects = {
+        str(name): {entry.name: _any_value(entry, random) for entry in CATALOGUE[str(name)].parameters}
+        for name in random.choice(names, int(random.integers(0, 4)), replace=False)
+    }
+    return Valve.from_mapping({"valve": declared, "effects": effects}, "fuzz")
+
+
+# --- what must become of them ---
+
+
+def try_bag(random: Random, folder: Path) -> str:
+    """Read a bad bag: 'taken' or 'refused'."""
+    path = bad_bag(random, folder)
+    try:
+        valves = list_valves(path)
+        trace = read_trace(path, valves[0] if valves else None)
+    except ValveError as error:
+        return _refused(error)
+    assert np.isfinite(trace.pilot_position).all()
+    assert np.all(np.diff(trace.times) > 0.0)
+    assert np.isfinite(trace.drive.volts).all()
+    return "taken"
+
+
+def try_file(random: Random, folder: Path) -> str:
+    """Load a bad parameter file: 'taken' or 'refused'."""
+    path = bad_file(random, folder)
+    try:
+        valve = load_valve(path)
+    except ValveError as error:
+        return _refused(error)
+    assert all(math.isfinite(value) for value in valve.declared().values())
+    return "taken"
+
+
+def try_valve(random: Random, folder: Path) -> str:
+    """Simulate a valve through a pulse: 'taken', 'refused' before, or 'given up' with a reason."""
+    try:
+        valve = any_valve(random)
+    except ParameterError as error:
+        return _refused(error)
+    volts = float(random.uniform(-30.0, 30.0))
+    try:
+        response = simulate(valve, Drive.of([0.0, 0.01], [volts, 0.0]), np.linspace(0.0, 0.02, 40))
+    except SimulationError as error:
+        _refused(error)
+        return "given up"
+    stroke, gain = valve.after_effects("stroke", "sensor_gain")
+    assert np.isfinite(response.pilot_velocity).all()
+    assert np.all(response.pilot_position >= -GENTLE)
+    # A stop that gives way lets the plungers in beyond the stroke.
+    most = math.inf if "stop_compliance" in valve.effects else (stroke + GENTLE) * max(1.0, gain)
+    assert np.all(response.pilot_position <= most)
+    return "taken"
+
+
+def any_gas(random: Random) -> Case:
+    """A valve with gas of any size, that opens and closes, or does neither."""
+    inlet, pilot = 10.0 ** random.uniform(5.5, 8.0), 10.0 ** random.uniform(-4.3, -2.8)
+    gas = {
+        "inlet_pressure": inlet,
+        "outlet_pressure": inlet * random.choice([random.uniform(0.01, 1.5), 1.0, 1.0 - 1e-6]),
+        "outlet_volume": 10.0 ** random.uniform(-6.5, -3.0),
+        "pilot_orifice_diameter": pilot,
+        "main_orifice_diameter": pilot * random.uniform(1.0, 20.0),
+        "seat_diameter": pilot * random.uniform(1.0, 30.0),
+        "demand_orifice_diameter": random.choice([0.0, 10.0 ** random.uniform(-5.0, -2.5)]),
+        "demand_pressure": inlet * random.choice([random.uniform(0.001, 1.2), 1.0]),
+    }
+    drive = ((0.0, random.uniform(5.0, 16.0)), (random.uniform(0.01, 0.5), 0.0))
+    return Case("any", gas, drive, 1.0, random.choice([0.0, 1e-9]), random.uniform(0.3, 1.0))
+
+
+def try_gas(random: Random, folder: Path) -> str:
+    """Simulate a valve with gas for a second: 'taken', or 'given up' with a reason; no mass may be lost."""
+    try:
+        run = ours(any_gas(random), np.linspace(0.01, 1.0, 100))
+    except SimulationError as error:
+        _refused(error)
+        return "given up"
+    assert run.balance < MASS_IS_LOST, f"{run.balance:.1e} of the mass is lost"
+    return "taken"
+
+
+def try_slip(outcome: Outcome) -> str:
+    """What became of a plant or a recording with a slip."""
+    assert not outcome.fault, f"{outcome.kind}: {outcome.fault}: {outcome.error}: {outcome.message[:200]}"
+    return "refused" if outcome.error else "taken"
+
+
+def _refused(error: ValveError) -> str:
+    assert "\n" not in str(error), f"more than one line: {error}"
+    return "refused"
+
+
+SURFACES: Final[dict[str, tuple[Callable[[Random, Path], str], int]]] = {
+    "bags": (try_bag, 20_000),
+    "parameter files": (try_file, 10_000),
+    "valves": (try_valve, 100_000),
+    "command lines": (lambda random, folder: try_command_line(random, folder, bad_bag, bad_file), 10_000),
+    "plants": (lambda random, folder: try_slip(try_plant(int(random.integers(MOST_SLIPS)))), 1_000),
+    "recordings": (lambda random, folder: try_slip(try_recording(int(random.integers(MOST_SLIPS)))), 300),
+    "valves with gas": (try_gas, 1_000),
+}
+"""What tries one input, and how many are tried; a new one comes last, for the place is a seed."""
+
+
+def attempt(surface: str, number: int) -> tuple[str, str]:
+    """What became of one input, and the finding if it is one."""
+    random = np.random.default_rng([list(SURFACES).index(surface), number])
+    with tempfile.TemporaryDirectory(prefix="valve_sim-fuzz-") as folder:
+        try:
+            with limited():
+                return SURFACES[surface][0](random, Path(folder)), ""
+        except (Exception, Hang):
+            return "finding", traceback.format_exc().strip()

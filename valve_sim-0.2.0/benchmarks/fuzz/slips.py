@@ -1,0 +1,526 @@
+"""Plants and recordings with a slip in them, two surfaces of `benchmarks.fuzz`.
+
+Each must end in one typed error of one line that says what is wrong.
+
+A plant of a user's own gets one slip (a NaN, a wrong shape, name or type, an exception, a complex number), a recording
+that was put together in Python one defect. A number gives a case again. A plant that never returns is interrupted as by
+Ctrl-C, once while it is checked and once in the search, and must end with a line that names it.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valve_sim.identification.diagnosis.identify import identify
+from valve_sim.identification.diagnosis.run import diagnose, diagnose_plant
+from valve_sim.identification.plants.protocol import Channel, EffectChoice, ForceMap, Nuisance
+from valve_sim.identification.validation.replay import validate
+from valve_sim.model import Drive, Parameter, Valve, ValveError, simulate
+from valve_sim.traces import Signal, Trace
+
+ROOT: Final = Path(__file__).parents[2]
+SAMPLES, GROUPS = 400, 8
+LONGEST: Final = 400
+"""Characters of a message that is read at a glance."""
+PATIENCE: Final = 60.0
+"""s that a process may take to begin, and to end at Ctrl-C, before it counts as hanging."""
+TRUE_GAIN: Final = 2.0
+"""Of the heater; 1 is declared."""
+
+Array = NDArray[np.float64]
+Random = np.random.Generator
+
+
+class Heater:
+    """shown = gain · power + offset + radiation · power²: a sound plant, each member of which a slip may spoil."""
+
+    def __init__(self, seed: int = 0) -> None:
+        random = np.random.default_rng(seed)
+        self.times = np.arange(SAMPLES) / 10.0
+        self.power = np.where(self.times < 8.0, 0.0, 2.0 + np.sin(self.times) + np.sin(0.37 * self.times))
+        group = np.arange(SAMPLES) * GROUPS // SAMPLES
+        data = TRUE_GAIN * self.power + random.normal(0.0, 0.05, SAMPLES)
+        self.channels: Any = [Channel("heater", "temperature", self.times, data, self.times < 8.0, group, "K")]
+        self.base: Any = ("gain",)
+        self.nuisances: Any = (Nuisance("zero", 0.1, "K"),)
+        self.timing_errors: Any = ()
+        self.force_maps: Any = ()
+        self.experiments: Any = ()
+        self.parameters: dict[str, Any] = {
+            "gain": Parameter("gain", "K/W", "K for each watt", 0.0, 1e3, 1.0),
+            "radiation.coefficient": Parameter("coefficient", "K/W²", "grows with power²", -1.0, 1.0, 1e-2, off=0.0),
+            "drift.rate": Parameter("rate", "K/s", "of the sensor", -1.0, 1.0, 1e-3, off=0.0),
+        }
+        self.effects: Any = {
+            name: EffectChoice(name, (self.parameters[free],))
+            for name, free in (("radiation", "radiation.coefficient"), ("drift", "drift.rate"))
+        }
+
+    def parameter(self, name: str) -> Any:
+        """Unit and range."""
+        return self.parameters[name]
+
+    def declared(self, name: str) -> Any:
+        """The prior scale of the gain, off of effects."""
+        parameter = self.parameters[name]
+        return parameter.prior_scale if parameter.off is None else parameter.off
+
+    def predict(self, values: Mapping[str, float]) -> Any:
+        """The temperature, K."""
+        gain = values.get("gain", 1.0)
+        radiation, rate = values.get("radiation.coefficient", 0.0), values.get("drift.rate", 0.0)
+        shown = gain * self.power + radiation * self.power**2 + rate * self.times + values.get("zero", 0.0)
+        return [shown]
+
+
+Slip = Callable[[Heater, Random], Any]
+"""Spoils a plant."""
+
+
+def _in_channel(column: str, spoil: Callable[[Array, Random], Any]) -> Slip:
+    def slip(plant: Heater, random: Random) -> None:
+        channel = plant.channels[0]
+        plant.channels = [replace(channel, **{column: spoil(np.copy(getattr(channel, column)), random)})]
+
+    return slip
+
+
+def _in_prediction(spoil: Callable[[Array, Random], Any], *, during: str = "") -> Slip:
+    """Of all predictions, or of those in which a name is given."""
+
+    def slip(plant: Heater, random: Random) -> None:
+        sound = plant.predict
+
+        def predict(values: Mapping[str, float]) -> Any:
+            (shown,) = sound(values)
+            return spoil(shown, random) if not during or during in values else [shown]
+
+        plant.predict = predict  # type: ignore[method-assign]
+
+    return slip
+
+
+def _with(**members: Any) -> Slip:
+    """Other members."""
+
+    def slip(plant: Heater, random: Random) -> None:
+        for name, value in members.items():
+            setattr(plant, name, value)
+
+    return slip
+
+
+def _with_parameter(**changes: Any) -> Slip:
+    """Another range of one of the parameters."""
+
+    def slip(plant: Heater, random: Random) -> None:
+        name = str(random.choice(list(plant.parameters)))
+        plant.parameters[name] = plant.parameters[name]._replace(**changes)
+
+    return slip
+
+
+def _with_nuisance(**changes: Any) -> Slip:
+    def slip(plant: Heater, random: Random) -> None:
+        plant.nuisances = (plant.nuisances[0]._replace(**changes),)
+
+    return slip
+
+
+def _without(member: str) -> Slip:
+    def slip(plant: Heater, random: Random) -> None:
+        if member in vars(plant):
+            delattr(plant, member)
+        else:
+            setattr(plant, member, None)
+
+    return slip
+
+
+def _holed(values: Array, random: Random, hole: float = np.nan) -> Array:
+    values = np.asarray(values, dtype=np.float64)
+    values[random.integers(0, len(values), random.integers(1, 5))] = hole
+    return values
+
+
+def _raising(kind: type[Exception], message: str, *, during: str = "", above: float = -np.inf) -> Slip:
+    """With any values, where a name is given, or where the gain is above something, which only a search comes to."""
+
+    def slip(plant: Heater, random: Random) -> None:
+        sound = plant.predict
+
+        def predict(values: Mapping[str, float]) -> Any:
+            if (not during or during in values) and values.get("gain", 1.0) > above:
+                raise kind(message)
+            return sound(values)
+
+        plant.predict = predict  # type: ignore[method-assign]
+
+    return slip
+
+
+def _raising_property(plant: Heater, random: Random) -> Heater:
+    def channels(self: Heater) -> Any:
+        raise IndexError("list index\nout of range")
+
+    return type("Heater", (Heater,), {"channels": property(channels, lambda self, value: None)})()  # type: ignore[no-any-return]
+
+
+def _misspelt(plant: Heater, random: Random) -> None:
+    name = "gain"
+    at = int(random.integers(0, len(name) - 1))
+    plant.base = (name[:at] + name[at + 1] + name[at] + name[at + 2 :],)
+
+
+def _misspelt_in_predict(plant: Heater, random: Random) -> None:
+    sound = plant.predict
+    misspelt = str(random.choice(["radiaton.coefficient", "drift.rates", "gian"]))
+
+    def predict(values: Mapping[str, float]) -> Any:
+        return sound({**values, "zero": values[misspelt]} if values else values)
+
+    plant.predict = predict  # type: ignore[method-assign]
+
+
+def _misspelt_effect(plant: Heater, random: Random) -> None:
+    choice = plant.effects["drift"]
+    plant.effects = {
+        **plant.effects,
+        "drift": choice
+        if random.random() < 0.3
+        else replace(choice, parameters=(choice.parameters[0]._replace(name="rates"),)),
+    }
+    if plant.effects["drift"] is choice:
+        plant.effects["drfit"] = plant.effects.pop("drift")
+
+
+def _forgotten_parameter(plant: Heater, random: Random) -> None:
+    del plant.parameters[str(random.choice(list(plant.parameters)))]
+
+
+def _declared_as(value: Any) -> Slip:
+    return _with(declared=lambda name: value)
+
+
+SLIPS: Final[Mapping[str, Sequence[Slip]]] = {
+    "NaN": (
+        _in_channel("data", _holed),
+        _in_channel("data", lambda values, random: _holed(values, random, np.inf)),
+        _in_channel("times", _holed),
+        _in_prediction(lambda shown, random: [_holed(shown, random)]),
+        _in_prediction(lambda shown, random: [_holed(shown, random, -np.inf)]),
+        _in_prediction(lambda shown, random: [_holed(shown, random)], during="drift.rate"),
+        _in_prediction(lambda shown, random: [_holed(shown, random)], during="gain"),
+        _declared_as(np.nan),
+        _with_parameter(lower=np.nan),
+        _with_parameter(prior_scale=np.nan),
+        _with_nuisance(sigma=np.nan),
+        _with_nuisance(mean=np.inf),
+    ),
+    "wrong shape": (
+        _in_prediction(lambda shown, random: [shown[: -int(random.integers(1, 9))]]),
+        _in_prediction(lambda shown, random: [np.append(shown, 0.0)]),
+        _in_prediction(lambda shown, random: [shown[:, None]]),
+        _in_prediction(lambda shown, random: [shown[:-1]], during="radiation.coefficient"),
+        _in_prediction(lambda shown, random: shown),
+        _in_prediction(lambda shown, random: [shown, shown]),
+        _in_prediction(lambda shown, random: []),
+        _in_prediction(lambda shown, random: None),
+        _in_prediction(lambda shown, random: (part for part in [shown])),
+        _in_prediction(lambda shown, random: [float(shown[0])]),
+        _in_channel("data", lambda values, random: values[:-1]),
+        _in_channel("data", lambda values, random: values[:, None]),
+        _in_channel("times", lambda values, random: values[:-1]),
+        _in_channel("quiet", lambda values, random: values[1:]),
+        _in_channel("group", lambda values, random: values[: SAMPLES // 2]),
+        _in_channel("data", lambda values, random: values.tolist()),
+        _in_channel("times", lambda values, random: values[::-1]),
+        _in_channel("group", lambda values, random: values - 1),
+        _with(channels=()),
+        _with_nuisance(channels=(1,)),
+    ),
+    "wrong name": (
+        _misspelt,
+        _misspelt_in_predict,
+        _misspelt_effect,
+        _forgotten_parameter,
+        _with(base="gain"),
+        _with(base=("gain", "gain")),
+        _with(nuisances=(Nuisance("zero", 0.1, "K"), Nuisance("zero", 0.2, "K"))),
+        _with(nuisances=(Nuisance("zero", 0.1, "K", is_of_machine=True, same_as="drift.rate"),)),
+        _with(force_maps=(ForceMap("t", ("curve.c0", "curve.c1"), {}, 0.0, 1.0, "s", "curve.count"),)),
+        *(_without(member) for member in ("channels", "base", "effects", "nuisances", "force_maps", "experiments")),
+        *(_without(member) for member in ("parameter", "declared", "predict", "timing_errors")),
+    ),
+    "raises": (
+        _raising(KeyError, "gian"),
+        _raising(ValueError, "math domain error", during="drift.rate"),
+        _raising(IndexError, "index 400 is out of bounds\nfor axis 0 with size 400"),
+        _raising(ZeroDivisionError, "division by zero"),
+        _raising(TypeError, "unsupported operand", above=1.5),
+        _raising(RuntimeError, "", above=1.2),
+        _raising(AssertionError, "", during="radiation.coefficient"),
+        _raising(MemoryError, "", during="gain"),
+        _raising_property,
+        _with(parameter=lambda name: 1 / 0),
+        _with(declared=lambda name: {}["nothing"]),
+    ),
+    "complex": (
+        _in_prediction(lambda shown, random: [shown.astype(complex)]),
+        _in_prediction(lambda shown, random: [np.sqrt(shown.astype(complex) - 1.0)], during="drift.rate"),
+        _in_channel("data", lambda values, random: values.astype(complex)),
+        _in_channel("times", lambda values, random: values.astype(complex)),
+        _declared_as(1.0 + 0.0j),
+    ),
+    "wrong type": (
+        _in_prediction(lambda shown, random: [shown.astype(object)]),
+        _in_prediction(lambda shown, random: [shown.astype(str)]),
+        _in_prediction(lambda shown, random: [shown.astype(np.int64)]),
+        _in_prediction(lambda shown, random: [shown.tolist()]),
+        _in_prediction(lambda shown, random: [np.ma.masked_array(shown).tolist()], during="gain"),
+        _in_channel("data", lambda values, random: values.astype(object)),
+        _in_channel("data", lambda values, random: (100.0 * values).astype(np.int32)),
+        _in_channel("quiet", lambda values, random: values.astype(np.float64)),
+        _in_channel("group", lambda values, random: values.astype(np.float64)),
+        _declared_as("1.0"),
+        _declared_as(None),
+        _with(effects=["radiation", "drift"]),
+        _with(nuisances=({"name": "zero", "sigma": 0.1},)),
+        _with_parameter(lower=5.0, upper=-5.0),
+        _with_parameter(prior_scale=0.0),
+        _with_parameter(off="0"),
+        _with_nuisance(sigma=0.0),
+        _with_nuisance(sigma=-0.1),
+        _with_nuisance(step=0.0),
+        _with(channels=[{"data": np.zeros(4)}]),
+        *(_with(**{member: None}) for member in ("effects", "nuisances", "timing_errors", "force_maps", "experiments")),
+        _with(effects={"drift": EffectChoice("drift", ("rate",))}),  # type: ignore[arg-type]
+        _with(effects={"drift": EffectChoice("drift", ())}),
+        _with(base=(1,)),
+        _with(base=(["gain"],)),
+        _with_nuisance(channels=("first",)),
+    ),
+}
+"""What may be wrong with a plant."""
+
+
+def spoilt_plant(number: int) -> tuple[str, Heater]:
+    """A slip, and the plant that has it."""
+    random = np.random.default_rng([number, 1])
+    kind = list(SLIPS)[number % len(SLIPS)]
+    slips = SLIPS[kind]
+    plant = Heater(number)
+    spoilt = slips[int(random.integers(0, len(slips)))](plant, random)
+    return kind, spoilt if isinstance(spoilt, Heater) else plant
+
+
+def try_plant(number: int) -> Outcome:
+    """Diagnose a plant with a slip."""
+    kind, plant = spoilt_plant(number)
+    return _tried(kind, lambda: diagnose_plant(plant, None), "Heater")
+
+
+class Outcome(NamedTuple):
+    """What became of a case: its kind, the error's type, its message, and what is not as it should be, or nothing."""
+
+    kind: str
+    error: str
+    message: str
+    fault: str
+
+
+def _tried(kind: str, work: Callable[[], object], place: str) -> Outcome:
+    """One typed error of one line that names the place is as it should be."""
+    try:
+        work()
+    except ValveError as error:
+        message = str(error)
+        faults = {
+            "more than one line": "\n" in message,
+            "no word": not message.strip(),
+            "too long": len(message) > LONGEST,
+            "does not say where": place not in message,
+        }
+        return Outcome(kind, type(error).__name__, message, ", ".join(name for name, found in faults.items() if found))
+    except Exception as error:
+        return Outcome(kind, type(error).__name__, str(error), "not a typed error")
+    return Outcome(kind, "", "", "no error")
+
+
+# -- recordings --------------------------------------------------------------------------------------------------------
+
+
+@cache
+def sound_trace() -> Trace:
+    """Four strokes of the default valve with noise, its current recorded."""
+    random = np.random.default_rng(1)
+    valve = Valve.from_mapping(DECLARED, "the declared valve")
+    drive = Drive.of([0.01, 0.04, 0.07, 0.10, 0.13, 0.16, 0.19, 0.22], [9.0, 0.0, 12.0, 0.0, 8.0, 0.0, 14.0, 0.0])
+    times = np.arange(1200) / 5e3
+    run = simulate(valve, drive, times)
+    position = run.pilot_position + random.normal(0.0, 1e-6, len(times))
+    main = run.main_position + random.normal(0.0, 1e-6, len(times))
+    current = Signal(np.copy(times), run.coil_current + random.normal(0.0, 1e-3, len(times)))
+    return Trace("made.mcap", drive, times, position, main, coil_current=current)
+
+
+DECLARED: Final[dict[str, Any]] = {
+    "valve": {
+        "attraction_polynomial": [3.0336, 17.096e3, -30.931e6, 24.026e9], "coil_time_constant": 0.9934e-3,
+        "coil_resistance": 10.0,
+    }
+}  # fmt: skip
+
+COLUMNS: Final = ("times", "pilot_position", "main_position", "drive.times", "drive.volts", "coil_current.times",
+                  "coil_current.values")  # fmt: skip
+
+
+def _with_column(trace: Trace, column: str, values: Any) -> Trace:
+    owner, _, name = column.rpartition(".")
+    if not owner:
+        return replace(trace, **{name: values})
+    return replace(trace, **{owner: getattr(trace, owner)._replace(**{name: values})})
+
+
+def _column(trace: Trace, column: str) -> Array:
+    found: Any = trace
+    for name in column.split("."):
+        found = getattr(found, name)
+    return np.copy(found)
+
+
+Defect = Callable[[Trace, Random], Any]
+
+
+def _in_column(spoil: Callable[[Array, Random], Any], *columns: str) -> Defect:
+    def defect(trace: Trace, random: Random) -> Trace:
+        column = str(random.choice(columns or COLUMNS))
+        return _with_column(trace, column, spoil(_column(trace, column), random))
+
+    return defect
+
+
+TIMES: Final = ("times", "drive.times", "coil_current.times")
+DEFECTS: Final[Mapping[str, Sequence[Defect]]] = {
+    "NaN": (_in_column(_holed), _in_column(lambda values, random: _holed(values, random, np.inf))),
+    "wrong shape": (
+        _in_column(lambda values, random: values[: -int(random.integers(1, min(len(values), 9)))]),
+        _in_column(lambda values, random: values[:, None]),
+        _in_column(lambda values, random: np.float64(values[0])),
+        _in_column(lambda values, random: values.tolist()),
+    ),
+    "wrong type": (
+        _in_column(lambda values, random: values.astype(complex)),
+        _in_column(lambda values, random: values.astype(object)),
+        _in_column(lambda values, random: values.astype(str)),
+        _in_column(lambda values, random: (1e6 * values).astype(np.int64)),
+        _in_column(lambda values, random: None, "times", "pilot_position", "drive.times", "coil_current.values"),
+        lambda trace, random: replace(trace, drive=(0.0, 9.0)),
+        lambda trace, random: replace(trace, coil_current=trace.coil_current.values),  # type: ignore[union-attr]
+        lambda trace, random: {"made.mcap": trace},
+        lambda trace, random: [str(trace.source)],
+        lambda trace, random: trace,
+    ),
+    "wrong order": (
+        _in_column(lambda values, random: values[::-1], *TIMES),
+        _in_column(lambda values, random: random.permutation(values), *TIMES),
+        _in_column(lambda values, random: np.full(len(values), values[0]), "times"),
+    ),
+    "too few": (
+        lambda trace, random: [],
+        lambda trace, random: replace(trace, drive=Drive.of([], [])),
+        lambda trace, random: _few(trace, 0),
+        lambda trace, random: _few(trace, int(random.integers(1, 3))),
+    ),
+}
+"""What may be wrong with a recording."""
+
+
+def _few(trace: Trace, count: int) -> Trace:
+    """The first samples alone."""
+    return Trace(trace.source, trace.drive, trace.times[:count], trace.pilot_position[:count])
+
+
+def spoilt_recording(number: int) -> tuple[str, Any]:
+    """A defect, and the list of recordings that has it, as somebody might give it."""
+    random = np.random.default_rng([number, 2])
+    kind = list(DEFECTS)[number % len(DEFECTS)]
+    defects = DEFECTS[kind]
+    spoilt = defects[int(random.integers(0, len(defects)))](sound_trace(), random)
+    is_given_bare = spoilt is sound_trace()
+    return kind, spoilt if is_given_bare or not isinstance(spoilt, Trace) else [spoilt]
+
+
+def try_recording(number: int) -> Outcome:
+    """Diagnose, identify or validate with a spoilt recording; a diagnosis also where it is held out."""
+    kind, traces = spoilt_recording(number)
+    valve = Valve.from_mapping(DECLARED, "the declared valve")
+    uses: Sequence[Callable[[], object]] = (
+        lambda: diagnose(traces, [], valve),
+        lambda: identify(traces, valve),
+        lambda: validate(traces, valve),
+    )
+    return _tried(kind, uses[number % len(uses)], "")
+
+
+# -- a plant that never returns ----------------------------------------------------------------------------------------
+
+NEVER: Final = """
+import signal, time
+# A job that a shell runs in the background ignores it, and so would this one.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from benchmarks.fuzz.slips import Heater
+from valve_sim.identification.diagnosis.run import diagnose_plant
+
+class Endless(Heater):
+    def predict(self, values):
+        if "{given}" in values or not "{given}":
+            print("begun", flush=True)
+            while True:
+                time.sleep(0.01)
+        return super().predict(values)
+
+diagnose_plant(Endless(), None)
+"""
+
+
+class Interrupted(NamedTuple):
+    """Last line on stderr, s from Ctrl-C to the end, and the exit code; −9 where it had to be killed."""
+
+    line: str
+    seconds: float
+    code: int
+
+
+def interrupt_endless(*, in_search: bool) -> Interrupted:
+    """Run a plant that never returns in a process of its own, and interrupt it when it does not."""
+    # The check gives no zero of the sensor, fits do.
+    code = NEVER.format(given="zero" if in_search else "")
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
+    with subprocess.Popen(
+        [sys.executable, "-c", code], cwd=ROOT, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        text=True,
+    ) as process:  # fmt: skip
+        assert process.stdout is not None
+        process.stdout.readline()
+        begun = time.monotonic()
+        process.send_signal(signal.SIGINT)
+        try:
+            _, errors = process.communicate(timeout=PATIENCE)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            _, errors = process.communicate()
+    lines = errors.strip().splitlines() or [""]
+    return Interrupted(lines[-1], time.monotonic() - begun, process.returncode)

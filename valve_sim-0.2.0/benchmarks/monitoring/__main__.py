@@ -1,0 +1,402 @@
+"""Does a monitor warn when it should, only then, and what does it name? `python -m benchmarks.monitoring PART`."""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import math
+import sys
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from multiprocessing import get_context
+from typing import Any, Final
+
+from identification.live_strokes import STROKE_SECONDS, LiveValve
+from scipy.stats import chi2
+
+from benchmarks.monitoring import __doc__ as words_of_all
+from benchmarks.monitoring.rigs import (
+    CoilRig,
+    GasRig,
+    Healthy,
+    PositionRig,
+    Watched,
+    drawn_valve,
+    isolate,
+    rising,
+    watch,
+    watch_healthy,
+)
+from benchmarks.monitoring.sweep import changes as swept
+from valve_sim.files.parameter_files import load_valve
+from valve_sim.files.resources import config_path
+from valve_sim.identification.estimation.intervals import Interval, profile_interval
+from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.estimation.solver import fit
+from valve_sim.identification.monitoring.fault_isolation import join
+from valve_sim.identification.monitoring.lift_times import starts_by_lift
+from valve_sim.identification.monitoring.settings import MonitorSettings
+from valve_sim.identification.plants.commissioned import CommissionedPlant
+
+ALARM_FORCE: Final = 7.5e-3
+"""N: five detection limits with true stamps."""
+NAME_FORCES: Final = {0.0: 7.5e-3, 50e-6: 38e-3}
+"""N by s of jitter: five detection limits of each."""
+COMMISSIONING, GROWING, STAYING, SOON = 25, 50, 20, 5
+"""Strokes: healthy ones first, of growth, after it, and of it within which an alarm is wanted."""
+ROUND: Final = 8
+"""Strokes, one of each voltage, of which a limit is reported."""
+NAMED: Final = 0.9
+"""Of seeds."""
+FRICTION: Final = "coulomb_friction"
+
+Effects = Mapping[str, Mapping[str, float]]
+Options = argparse.Namespace
+
+
+def say(is_good: bool, words: str) -> bool:
+    """Print a line that says whether a figure is as wanted; returns it."""
+    print(f"{'ok   ' if is_good else 'SHORT'} {words}", flush=True)
+    return is_good
+
+
+def mapped(options: Options, work: Callable[[int], Any], items: Iterable[Any] = ()) -> list[Any]:
+    """What a picklable function makes of each seed, or item, in so many processes."""
+    chosen = list(items) or list(range(options.first, options.first + options.seeds))
+    with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
+        return list(pool.map(work, chosen))
+
+
+def few_alarms(rows: Sequence[Healthy], words: str) -> bool:
+    """Whether at most one stroke of a thousand raised an alarm."""
+    total, alarms = sum(row.strokes for row in rows), sum(row.alarms for row in rows)
+    most = max(1.0, 1e-3 * total)
+    return say(alarms <= most, f"{words}: {alarms} alarms in {total} healthy strokes (at most {most:g})")
+
+
+def after(watched: Watched, reached: int) -> int | None:
+    """Strokes from having got to the full size until the first alarm; 0 if it came before."""
+    return None if watched.alarmed is None else max(0, watched.alarmed - reached)
+
+
+# --- by the position --------------------------------------------------------------------------------------------------
+
+
+def healthy_of(seed: int, strokes: int) -> Healthy:
+    """One seed without fault."""
+    return watch_healthy(PositionRig(drawn_valve(seed, 50e-6, 0.7 * (seed % 2))), strokes)
+
+
+def healthy(options: Options) -> bool:
+    """Strokes without fault."""
+    rows = mapped(options, partial(healthy_of, strokes=-(-options.strokes // options.seeds)))
+    worst = max(abs(row.ratio - 1.0) for row in rows)
+    each = sum(row.seconds for row in rows) / sum(row.strokes for row in rows)
+    return all([
+        few_alarms(rows, "stamps off by 50 µs"),
+        say(worst < 0.1, f"residual over noise: within {worst:.1%} of 1 in each seed (10 %)"),
+        say(each < STROKE_SECONDS, f"{1e3 * each:.1f} ms of computing a stroke, wanted {1e3 * STROKE_SECONDS:g}"),
+    ])  # fmt: skip
+
+
+def growth_of(seed: int, jitter: float, force: float, *, isolates: bool) -> Watched:
+    """One seed of friction that grows."""
+    forces = rising(force, COMMISSIONING, GROWING, STAYING + 1)
+    return watch(PositionRig(drawn_valve(seed, jitter)), forces, COMMISSIONING, isolates=isolates)
+
+
+def growth(options: Options) -> bool:
+    """Friction that grows, with true stamps and with others."""
+    good, reached = [], COMMISSIONING + GROWING - 1
+    for jitter, force in NAME_FORCES.items():
+        words = f"stamps off by {1e6 * jitter:g} µs"
+        named: list[Watched] = mapped(options, partial(growth_of, jitter=jitter, force=force, isolates=True))
+        alarms = named
+        if force != ALARM_FORCE:
+            alarms = mapped(options, partial(growth_of, jitter=jitter, force=ALARM_FORCE, isolates=False))
+        soon = [after(row, reached) for row in alarms]
+        right = sum(bool(row.isolated) and row.isolated[-1].has_named(FRICTION, alone=True) for row in named)
+        count, wanted = sum(one is not None and one <= SOON for one in soon), NAMED * options.seeds
+        words_soon = f"to {1e3 * ALARM_FORCE:g} mN: alarm within {SOON} strokes in {count} of {options.seeds}: {soon}"
+        good.append(say(count >= wanted, f"{words}, {words_soon}"))
+        good.append(
+            say(right >= wanted, f"{words}, to {1e3 * force:g} mN: the right name in {right} of {options.seeds}")
+        )
+        print_isolations(named)
+    return all(good)
+
+
+def print_isolations(rows: Iterable[Watched]) -> None:
+    """What the last isolation of each seed said, and what it took."""
+    for row in rows:
+        last = row.isolated[-1] if row.isolated else None
+        print("      nothing isolated" if last is None else f"      {last.words}; {last.seconds:.0f} CPU s")
+
+
+ERRORS: Final = {"variation": 0.1, "drift": 1e-6, "hum": 0.5e-6}
+"""Of a laboratory: relative, of dampings from stroke to stroke; m a stroke; m."""
+LABORATORY_FORCE: Final = 0.3
+"""N, to which friction grows in a laboratory, 6 mN a stroke: where it is named is measured."""
+MOST_ALARMS: Final = 3.0
+"""In 10,000 healthy strokes of a laboratory."""
+
+
+def in_laboratory(seed: int, rate: float, strokes: int, *, is_plain: bool) -> Healthy:
+    """One seed without fault at a rate, with all that a laboratory adds or without any of it."""
+    errors = {} if is_plain else ERRORS
+    return watch_healthy(PositionRig(drawn_valve(seed, 50e-6, rate=rate, **errors)), strokes)
+
+
+def growth_in_laboratory(seed: int, rate: float) -> tuple[float, float, float, str, bool]:
+    """N at the first alarm, N where friction was first named alone, its limit, N; the last words; are they right."""
+    rig = PositionRig(drawn_valve(seed, 50e-6, rate=rate, **ERRORS))
+    for _ in range(COMMISSIONING + ROUND):
+        rig.stroke(0.0)
+    limit = rig.limits(ROUND)[0].get(FRICTION, {}).get("force", math.nan)
+    forces = rising(LABORATORY_FORCE, 0, GROWING, STAYING + 1)
+    seen, begun = watch(rig, forces, 0), COMMISSIONING + ROUND
+    right = [one for one in seen.isolated if one.has_named(FRICTION, alone=True)]
+
+    def force_at(stroke: int | None) -> float:
+        return math.nan if stroke is None else forces[max(0, stroke - begun)]
+
+    last = seen.isolated[-1] if seen.isolated else None
+    words = "nothing" if last is None else f"{last.words}; {last.seconds:.0f} CPU s"
+    return force_at(seen.alarmed), force_at(right[0].stroke if right else None), limit, words, last in right
+
+
+def laboratory(options: Options) -> bool:
+    """What a monitor makes of a laboratory's errors."""
+    good = []
+    each = -(-options.strokes // (options.seeds * len(options.rates)))
+    declared = MonitorSettings().strokes_between_false_alarms
+    for is_plain in (False, True) if options.strokes else ():
+        rows: list[Healthy] = []
+        for rate in options.rates:
+            own = mapped(options, partial(in_laboratory, rate=rate, strokes=each, is_plain=is_plain))
+            ratio, spent = sum(row.ratio for row in own) / len(own), sum(row.seconds for row in own)
+            print(
+                f"      {rate:.0f} Hz: alarms {[row.alarms for row in own]}, residual over noise {ratio:.3f}, "
+                f"{1e3 * spent / sum(row.strokes for row in own):.0f} ms of computing a stroke, its plant among it"
+            )
+            rows += own
+        total, alarms = sum(row.strokes for row in rows), sum(row.alarms for row in rows)
+        # Of a Poisson distribution.
+        low, high = 0.5 * chi2.ppf(0.025, 2 * alarms) if alarms else 0.0, 0.5 * chi2.ppf(0.975, 2 * alarms + 2)
+        is_good = low <= total / declared <= high and alarms <= max(1.0, MOST_ALARMS * total / 10_000)
+        words = f"{alarms} alarms in {total} healthy strokes {'without' if is_plain else 'with'} errors"
+        rates = f"{1e4 * low / total:.2g} to {1e4 * high / total:.2g} in 10,000 (95 %), declared {1e4 / declared:g}"
+        good.append(say(is_good, f"{words}: {rates}"))
+    for rate in options.rates:
+        grown = mapped(options, partial(growth_in_laboratory, rate=rate))
+        right = sum(is_right for *_, is_right in grown)
+        words = f"friction that grows to {1e3 * LABORATORY_FORCE:g} mN, {rate:.0f} Hz: the right name in {right}"
+        good.append(say(right >= NAMED * options.seeds, f"{words} of {options.seeds}"))
+        for alarm, named, limit, last, _ in grown:
+            print(f"      alarm at {1e3 * alarm:.0f} mN, named at {1e3 * named:.0f}, limit {1e3 * limit:.0f}: {last}")
+    return all(good)
+
+
+TANKS, SWEPT_RATES = ("tank_1", "tank_2", "tank_3"), (500.0, 1000.0)
+SWEPT_BEFORE, MOST, BEYOND = 30, 20, 3.0
+"""Strokes: healthy ones first, and faulty ones at most; limits beyond which an alarm is wanted soon."""
+SWEPT_HEALTHY: Final = 2000
+
+
+def sweep_one(tank: str, rate: float, options: Options) -> list[tuple[str, bool]]:
+    """A line for each change of one valve; of those that exceed `BEYOND` limits, whether the alarm came soon."""
+    rig = PositionRig(LiveValve(22, jitter=0.0, rate=rate), load_valve(config_path(f"{tank}.yaml")))
+    for _ in range(SWEPT_BEFORE):
+        rig.stroke()
+    limits, plant = rig.limits(ROUND)
+    counted = []
+    for change in swept(rig.valve.exact(), limits, plant, options.limits):
+        if options.only not in change.words:
+            continue
+        own = copy.deepcopy(rig)
+        first = own.live.strokes
+        rows = iter(own.live.row(MOST, change.effects, **change.parameters))  # type: ignore[arg-type]
+        own.stroke = partial(_next_of, own, rows)  # type: ignore[method-assign]
+        seen = watch(own, range(MOST), first, isolates=not options.no_names, once=True)
+        took = None if seen.alarmed is None else seen.alarmed - first + 1
+        words = f"{tank} {rate:4.0f} Hz {change.words:36} {change.size:10.4g}, limit {change.limit:9.3g}: "
+        words += f"{change.over:4.1f}; alarm after {took}"
+        for one in seen.isolated[:1]:
+            verdict = one.finding.verdict
+            words += f"; {verdict.kind} {verdict.probability:.3f}: {one.words}; {one.seconds:.0f} CPU s"
+        if change.over > BEYOND:
+            is_soon = took is not None and took <= SOON
+            counted.append((f"{tank} {rate:.0f} Hz {change.words} {change.size:.4g}", say(is_soon, words)))
+        else:
+            print(f"      {words}", flush=True)
+    return counted
+
+
+def _next_of(rig: PositionRig, rows: Any, fault: object = None) -> list[Any]:
+    """The next of some strokes in a row: what one leaves, such as heat, the next one has."""
+    from identification.live_strokes import feed
+
+    return list(feed(rig.monitor, next(rows)))
+
+
+def sweep(options: Options) -> bool:
+    """What may change in a valve."""
+    counted: list[tuple[str, bool]] = []
+    for rate in SWEPT_RATES:
+        for tank in options.tanks:
+            counted += sweep_one(tank, rate, options)
+    late = [words for words, is_soon in counted if not is_soon]
+    good = [say(not late, f"alarm within {SOON} strokes in {len(counted) - len(late)} of {len(counted)}; late: {late}")]
+    for rate in SWEPT_RATES if options.strokes else ():
+        own = PositionRig(LiveValve(22, jitter=0.0, rate=rate), load_valve(config_path("tank_1.yaml")))
+        alarms = watch_healthy(own, min(options.strokes, SWEPT_HEALTHY)).alarms
+        good.append(say(alarms <= 1, f"{alarms} alarms in healthy strokes at {rate:.0f} Hz (at most 1)"))
+    return all(good)
+
+
+# --- by the current, and with gas -------------------------------------------------------------------------------------
+
+COIL_GROWING, COIL_STAYING, COIL_SOON = 20, 40, 10
+FIVE: Final = 5.0
+"""Detection limits."""
+
+
+def coil_healthy_of(seed: int, strokes: int) -> Healthy:
+    """One seed without fault."""
+    return watch_healthy(CoilRig(seed), strokes)
+
+
+def coil_growth_of(seed: int) -> Watched:
+    """One seed of friction that grows to five detection limits."""
+    rig = CoilRig(seed)
+    forces = rising(FIVE * rig.detection_limit(), COMMISSIONING, COIL_GROWING, COIL_STAYING)
+    return watch(rig, forces, COMMISSIONING)
+
+
+def coil(options: Options) -> bool:
+    """A valve of which only the coil is seen."""
+    good = []
+    if options.strokes:
+        rows = mapped(options, partial(coil_healthy_of, strokes=-(-options.strokes // options.seeds)))
+        good.append(few_alarms(rows, "by the current alone"))
+    grown: list[Watched] = mapped(options, coil_growth_of)
+    reached, wanted = COMMISSIONING + COIL_GROWING - 1, NAMED * options.seeds
+    soon = [after(row, reached) for row in grown]
+    count = sum(one is not None and one <= COIL_SOON for one in soon)
+    named = sum(
+        bool(row.isolated) and row.isolated[-1].stroke >= reached and row.isolated[-1].has_named(FRICTION, alone=False)
+        for row in grown
+    )
+    good.append(say(count >= wanted, f"alarm within {COIL_SOON} strokes in {count} of {options.seeds}: {soon}"))
+    good.append(say(named >= wanted, f"its class named within {COIL_STAYING} strokes in {named} of {options.seeds}"))
+    print_isolations(grown)
+    return all(good)
+
+
+GAS_HEALTHY, GAS_FAULTY, GAS_COMMISSIONING = 10, 20, 8
+
+
+def gas_of(seed: int, *, sizes: bool) -> tuple[str, bool, bool]:
+    """One seed: in words, whether the fault was named right, and whether its interval holds the truth.
+
+    `sizes`: the fault that there is is fitted, and no other looked for.
+    """
+    rig = GasRig(seed, GAS_COMMISSIONING)
+    for _ in range(GAS_HEALTHY):
+        rig.stroke()
+    words, effect = f"{seed} | {rig.words} | {rig.name} {rig.truth:.6g} | ", rig.name.partition(".")[0]
+    for number in range(1, GAS_FAULTY + 1):
+        rig.stroke(True)
+        evidence = rig.monitor.stroke_monitor.take_evidence()
+        if not evidence:
+            continue
+        size: Interval | None
+        if sizes:
+            names, size, spent = (effect,), _sized(rig, evidence), 0.0
+        else:
+            found = isolate(evidence, rig, number)
+            names, size = found.finding.verdict.effects, found.finding.parameters.get(rig.name)
+            spent = found.seconds
+        is_right = names == (effect,)
+        is_held = is_right and size is not None and size.low <= rig.truth <= size.high
+        of_size = f"{size.value:.6g}, {size.low:.6g} to {size.high:.6g}" if size is not None else "–"
+        words += f"after {number} strokes {' + '.join(names) or 'nothing'} | {of_size} | {spent:.0f} CPU s"
+        return words, is_right, is_held
+    return f"{words}nothing isolated", False, False
+
+
+def _sized(rig: GasRig, evidence: Sequence[Any]) -> Interval:
+    """The size of the fault, as isolation fits it."""
+    baseline = rig.monitor.stroke_monitor.with_present_scatter()
+    trace = join(evidence, baseline)
+    plant = CommissionedPlant(trace, baseline.commissioned, baseline.scatter)
+    start = starts_by_lift(trace, baseline.valve)[rig.name.partition(".")[0]]
+    return profile_interval(fit(Problem(plant), (rig.name,), start, nuisances=plant.nuisances), rig.name)[0]
+
+
+def gas(options: Options) -> bool:
+    """A leak or a clogged pilot orifice that begins in service."""
+    rows = mapped(options, partial(gas_of, sizes=options.sizes))
+    for words, _, _ in rows:
+        print(words)
+    right, held = sum(is_right for _, is_right, _ in rows), sum(is_held for *_, is_held in rows)
+    words = f"{'sized' if options.sizes else 'named'} {right} of {options.seeds}"
+    return say(right >= NAMED * options.seeds, f"{words}; the interval of 95 % holds the truth in {held} of these")
+
+
+def topics(options: Options) -> bool:
+    """Healthy strokes, and friction that grows, with monitor_node as a process."""
+    from benchmarks.monitoring.topics import growth_on_topics, healthy_on_topics
+
+    seeds = range(options.first, options.first + options.seeds)
+    good = []
+    if options.strokes:
+        begun = time.perf_counter()
+        rows = healthy_on_topics(seeds, -(-options.strokes // options.seeds))
+        took, simulated = time.perf_counter() - begun, STROKE_SECONDS * sum(row.strokes for row in rows)
+        good.append(few_alarms(rows, "on topics"))
+        good.append(say(took < simulated, f"{took:.0f} s by the wall for {simulated:.0f} s of strokes"))
+    forces = rising(ALARM_FORCE, COMMISSIONING, GROWING, STAYING + 1)
+    grown = growth_on_topics(seeds, forces, COMMISSIONING)
+    reached, wanted = COMMISSIONING + GROWING - 1, NAMED * options.seeds
+    soon = [None if alarmed is None else max(0, alarmed - reached) for alarmed, _, _ in grown]
+    count, right = sum(one is not None and one <= SOON for one in soon), sum(one == (FRICTION,) for _, one, _ in grown)
+    worst = max(abs(ratio - 1.0) for _, _, ratio in grown)
+    good.append(say(count >= wanted, f"alarm within {SOON} strokes in {count} of {options.seeds}: {soon}"))
+    good.append(say(right >= wanted, f"the right name within {STAYING} strokes in {right} of {options.seeds}"))
+    good.append(say(worst < 0.1, f"residual over noise: within {worst:.1%} of 1 in each seed (10 %)"))
+    return all(good)
+
+
+PARTS: Final[Mapping[str, Callable[[Options], bool]]] = {
+    "healthy": healthy, "growth": growth, "laboratory": laboratory, "coil": coil, "gas": gas,
+    "sweep": sweep, "topics": topics,
+}  # fmt: skip
+
+
+def main() -> int:
+    """Run and print; 1 if anything falls short."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.monitoring",
+        description=words_of_all,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("parts", nargs="+", choices=list(PARTS), metavar="PART", help=", ".join(PARTS))
+    parser.add_argument("--strokes", type=int, default=10_000, help="healthy strokes in all; 0: none (default: 10000)")
+    parser.add_argument("--seeds", type=int, default=10, help="of valves (default: 10)")
+    parser.add_argument("--first", type=int, default=0, help="the first seed")
+    parser.add_argument("--jobs", type=int, default=2, help="processes (default: 2)")
+    parser.add_argument("--rates", type=float, nargs="*", default=(500.0, 1000.0, 2000.0), help="Hz, of a laboratory")
+    parser.add_argument("--sizes", action="store_true", help="gas: fit the fault that there is, and look for no other")
+    parser.add_argument("--limits", type=float, default=3.3, help="sweep: size of each change, in reported limits")
+    parser.add_argument("--tanks", nargs="*", default=TANKS, help="sweep: which")
+    parser.add_argument("--only", default="", help="sweep: changes whose name has this in it")
+    parser.add_argument("--no-names", action="store_true", help="sweep: alarms only")
+    options = parser.parse_args()
+    return 0 if all([PARTS[name](options) for name in options.parts]) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,437 @@
+"""How fast are the model, a fit and the commands? `python -m benchmarks.speed` prints all tables, or those named.
+
+core: runs at a tolerance of 1e-8 on one thread, per run; then 10,000 openings on one and on two threads. The best of
+the turns is shown, as machines change their speed by two within seconds.
+solvers: one opening (15 ms at 9 V, 150 outputs) in the core, by one call of `simulate`, and by SciPy RK45 with
+events, in turns; a ratio is the median of those of each turn.
+derivatives: what the Jacobian of a fit's prediction costs, in plain runs of the compiled core and of the fit, CPU time.
+live: steps of 1 ms of the live valve. start: the first result of a process, with an empty cache and with a full one.
+commands: `valve-sim identify` of half a second at 20 kHz as a new process, the fit in it, and reading.
+
+`long`, which is run only where it is named: `info`, `identify` and `validate` on recordings of --strokes strokes of
+80 ms at 20 kHz, as new processes: CPU time beyond starting, and the most memory. 10,000 strokes take 4 GB among the
+temporary files. Exits 1 where a figure falls short.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import itertools
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
+from plants.recording import Recorder, record, train_profile
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.campaign.declared import as_trace
+from benchmarks.coverage import true_dampings
+from benchmarks.other_solvers import TIMES, TOLERANCE, scipy_opening
+from valve_sim.files.parameter_files import default_valve
+from valve_sim.files.resources import config_path
+from valve_sim.identification.plants.protocol import Direction
+from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.model import Drive, EventKind, Valve, simulate
+from valve_sim.model.core import runs
+from valve_sim.model.live import Live
+from valve_sim.model.runs import Directions, run_sloped
+from valve_sim.model.simulation import run_numbers
+from valve_sim.traces import Trace, read_trace, write_bag
+
+Work = Callable[[], object]
+DRIVE: Final = Drive.of([0.0], [9.0])
+STROKE: Final = Drive.of([0.0, 15e-3], [9.0, 0.0])
+STROKES: Final = Drive.of(np.arange(16) * 20e-3, [9.0, 0.0] * 8)
+SAMPLES: Final = np.arange(1, 601) * 5e-5
+ROW, CALLS, MANY = 200, 100, 10_000
+"""Valves that are simulated one after the other in a turn; calls of `simulate` in one; openings of a batch."""
+DECLARED: Final = Valve().with_values(a0=3.0336, coil_time_constant=0.9934e-3)
+SEATED: Final = DECLARED.with_values(seat_load=0.3)
+FIVE: Final = Valve(
+    DECLARED.parameters,
+    {
+        "coulomb_friction": {"force": 0.05},
+        "quadratic_drag": {"coefficient": 2.0},
+        "eddy_lag": {"time_constant": 2e-4},
+        "pressure_force": {"force": 0.2, "equalisation_time": 5e-3},
+        "magnetic_saturation": {"current": 5.0},
+    },
+)
+FLUX: Final = Valve(
+    DECLARED.with_values(a0=6.0, coil_time_constant=2.5e-3).parameters, {"motional_emf": {"share": 1.0}}
+)
+HEATING: Final = Valve(DECLARED.parameters, {"coil_heating": {"temperature_rate": 100.0, "cooling_time_constant": 1.0}})
+SIXTEEN: Final = (
+    "pilot_damping", "main_damping", "spring_rate", "spring_preload", "a0", "a1", "a2", "a3", "pilot_mass",
+    "moving_mass", "pilot_gap", "stroke", "coil_time_constant", "reference_voltage", "pickup_velocity_ratio",
+    "seat_load",
+)  # fmt: skip
+SEED: Final = 3
+
+
+class Row(NamedTuple):
+    """One line: cells, and whether the figure is as wanted, None where nothing is."""
+
+    cells: tuple[str, ...]
+    is_met: bool | None = None
+
+
+class Part(NamedTuple):
+    """A table: its title and headings, and what measures its rows."""
+
+    title: str
+    headings: tuple[str, ...]
+    measure: Callable[[argparse.Namespace], Sequence[Row]]
+
+
+def times_in_turn(works: Sequence[Work], turns: int) -> Any:
+    """(turns, k) durations of each call, s, one after the other, after a turn for warm-up."""
+    durations = np.empty((turns + 1, len(works)))
+    for turn, index in itertools.product(range(turns + 1), range(len(works))):
+        start = time.perf_counter()
+        works[index]()
+        durations[turn, index] = time.perf_counter() - start
+    return durations[1:]
+
+
+def wanted(name: str, value: float, most: float, unit: str = "µs") -> Row:
+    """A row of a figure that may be at most so large; 0: nothing is wanted."""
+    return Row((name, f"{value:.2f} {unit}", f"{most:g}" if most else ""), value <= most if most else None)
+
+
+# --- the model --------------------------------------------------------------------------------------------------------
+
+
+def batch(valve: Valve, drive: Drive, times: Any, count: int = ROW, threads: int = 1) -> Work:
+    """A run of equal valves, one after the other on each thread."""
+    numbers = np.tile(valve.numbers(), (count, 1))
+    return lambda: run_numbers(valve, numbers, drive, times, tolerance=TOLERANCE, threads=threads)
+
+
+def sloped(count: int) -> Work:
+    """Eight strokes of 100 samples with derivatives by so many parameters, once."""
+    directions, times = Directions.of(SEATED, STROKES, SIXTEEN[:count]), np.linspace(1e-4, 0.32, 100)
+    return lambda: run_sloped(SEATED, STROKES, times, directions, tolerance=TOLERANCE)
+
+
+def core(options: argparse.Namespace) -> list[Row]:
+    """Runs of the core, µs each, and of a batch."""
+    eight = batch(SEATED, STROKES, np.linspace(1e-4, 0.32, 100))
+    cases: Mapping[str, tuple[Work, int, float]] = {
+        "opening, 150 samples": (batch(DECLARED, DRIVE, TIMES), ROW, 5.0),
+        "simulate(), all outputs": (
+            lambda: [simulate(DECLARED, DRIVE, TIMES, tolerance=TOLERANCE) for _ in range(ROW)], ROW, 15.0,
+        ),
+        "five effects": (batch(FIVE, DRIVE, TIMES), ROW, 6.5),
+        "flux": (batch(FLUX, DRIVE, TIMES), ROW, 9.5),
+        "heating": (batch(HEATING, DRIVE, TIMES), ROW, 0.0),
+        "stroke, 600 samples": (batch(DECLARED, STROKE, SAMPLES), ROW, 12.0),
+        "eight strokes, 100 samples": (eight, ROW, 0.0),
+        "  with 4 derivatives": (sloped(4), 1, 250.0),
+        "  with 16 derivatives": (sloped(16), 1, 350.0),
+        "10,000 openings, one thread": (batch(DECLARED, DRIVE, TIMES, MANY), MANY, 2.0),
+        "  two threads": (batch(DECLARED, DRIVE, TIMES, MANY, 2), MANY, 0.0),
+    }  # fmt: skip
+    durations = times_in_turn([work for work, _, _ in cases.values()], options.turns)
+    rows = [
+        wanted(name, own.min() / count * 1e6, most)
+        for (name, (_, count, most)), own in zip(cases.items(), durations.T, strict=True)
+    ]
+    ratio = float(np.median(durations[:, -2] / durations[:, -1]))
+    return [*rows, Row(("  one over two threads", f"{ratio:.2f}", "≥ 1.8"), ratio >= 1.8)]
+
+
+def event_times(valve: Valve, tolerance: float = TOLERANCE) -> tuple[float, float]:
+    """When the opening valve's pilot takes up the main plunger and when both reach the stop, s."""
+    response = simulate(valve, DRIVE, TIMES, tolerance=tolerance)
+    return response.first(EventKind.PICKED_UP), response.first(EventKind.REACHED_STOP)
+
+
+def solvers(options: argparse.Namespace) -> list[Row]:
+    """One opening beside other solvers: time, ratio to the core, and the error of both events against 1e-13."""
+    rows = []
+    for name, valve, least in (("declared", DECLARED, 1000.0), ("five effects", FIVE, 0.0)):
+        others: dict[str, Callable[[Valve], tuple[float, float]]] = {"SciPy RK45": scipy_opening}
+        works: list[Work] = [
+            batch(valve, DRIVE, TIMES),
+            lambda valve=valve: [simulate(valve, DRIVE, TIMES, tolerance=TOLERANCE) for _ in range(CALLS)],
+            *(partial(opening, valve) for opening in others.values()),
+        ]  # fmt: skip
+        times = times_in_turn(works, options.turns) / [ROW, CALLS, *[1] * len(others)]
+        found = {"core": event_times, "simulate()": event_times, **others}
+        exact = event_times(valve, 1e-13)
+        for index, (what, opening) in enumerate(found.items()):
+            ratio = float(np.median(times[:, index] / times[:, 0]))
+            error = max(abs(a - b) for a, b in zip(opening(valve), exact, strict=True))
+            cells = (f"{name}: {what}", f"{1e6 * np.median(times[:, index]):.1f}", f"{ratio:.0f}", f"{error:.1e}")
+            is_judged = what == "SciPy RK45" and least > 0.0
+            rows.append(Row((*cells, f"≥ {least:g}" if is_judged else ""), ratio >= least if is_judged else None))
+    return rows
+
+
+def live(options: argparse.Namespace) -> list[Row]:
+    """Steps of 1 ms by the raw entry, µs each."""
+    rows = []
+    for name, every, most in (("idle", 0, 0.38), ("a stroke every 50 ms", 25, 0.73), ("a command every ms", 1, 2.9)):
+        best = float("inf")
+        for _ in range(7):
+            valve, volts, steps = Live.at_rest(DECLARED, 0.0, TOLERANCE), 0.0, 5000
+            start = time.perf_counter()
+            for step in range(steps):
+                if every and step % every == 0:
+                    volts = 9.0 - volts
+                    valve._command(step * 1e-3, volts)  # the raw entry, which takes the time
+                else:
+                    valve.advance(step * 1e-3)
+            best = min(best, (time.perf_counter() - start) / steps * 1e6)
+        rows.append(wanted(name, best, most))
+    return rows
+
+
+START: Final = """
+import time
+begin = time.process_time()
+from valve_sim.model import Valve, simulate
+from valve_sim.model.drives import step
+imported = time.process_time()
+simulate(Valve(effects={effects}), step(9.0), [0.01])
+print(imported - begin, time.process_time() - imported)
+"""
+
+
+def start(options: argparse.Namespace) -> list[Row]:
+    """CPU seconds of importing, of the first result with an empty cache, and of it with a full one."""
+    rows = []
+    for name, effects in {
+        "default": {}, "one effect": {"coulomb_friction": {"force": 0.1}},
+        "five effects": {key: dict(values) for key, values in FIVE.effects.items()},
+    }.items():  # fmt: skip
+        with tempfile.TemporaryDirectory() as folder:
+            environment = {**os.environ, "VALVE_SIM_CACHE": f"{folder}/cache"}
+            command = [sys.executable, "-c", START.replace("{effects}", repr(effects))]
+            cold, warm = (
+                subprocess.run(command, env=environment, check=True, capture_output=True, text=True).stdout.split()
+                for _ in range(2)
+            )
+        rows.append(Row((name, f"{float(cold[0]):.2f}", f"{float(cold[1]):.2f}", f"{float(warm[1]):.3f}")))
+    return rows
+
+
+# --- a fit ------------------------------------------------------------------------------------------------------------
+
+
+def strokes() -> Trace:
+    """Eight strokes recorded at 20 kHz for half a second, by the independent plant."""
+    plant = DeclaredPlant(parameters={**CAMPAIGN_VALVE, **true_dampings(SEED)})
+    return as_trace(record(plant, train_profile(), Recorder(quantisation=0.1e-6), SEED), f"seed {SEED}")
+
+
+class CoreTime:
+    """CPU time of the compiled core alone: while it is in use, the core's entry is timed."""
+
+    def __init__(self) -> None:
+        self.spent = 0
+        self._entry = runs.entry
+
+    def __enter__(self) -> CoreTime:
+        """Begin."""
+
+        def timed(*arguments: object) -> object:
+            before = time.thread_time_ns()
+            found = self._entry("drive")(*arguments)
+            self.spent += time.thread_time_ns() - before
+            return found
+
+        runs.entry = lambda name: timed if name == "drive" else self._entry(name)  # type: ignore[assignment]
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End."""
+        runs.entry = self._entry
+
+
+def derivatives(options: argparse.Namespace) -> list[Row]:
+    """Runs that derivatives of a prediction cost, in the core and of the whole fit; medians of turns, CPU time."""
+    valve = default_valve().exact()
+    plant = ValvePlant([strokes()], valve)
+    ways = [
+        Direction({name: 1.0}, 1e-7 * max(1e-3, abs(value)))
+        for name, value in valve.declared().items()
+        if name not in ("coil_resistance", "reference_voltage", "release_voltage")
+    ]
+    counts = (1, 4, 8, 16)
+    works: list[Work] = [partial(plant.predict, {}), *(partial(plant.sensitivities, {}, ways[:n]) for n in counts)]
+    spent: list[list[tuple[int, int]]] = [[] for _ in works]
+    with CoreTime() as timer:
+        for _ in range(2 * options.turns):
+            for work, found in zip(works, spent, strict=True):
+                timer.spent, before = 0, time.thread_time_ns()
+                work()
+                found.append((time.thread_time_ns() - before, timer.spent))
+    (run, core_run), *derived = (np.median(found[1:], axis=0).tolist() for found in spent)
+    rows = [Row(("a plain run", f"{1e-3 * core_run:.0f} µs", f"{1e-3 * run:.0f} µs", ""))]
+    for count, (whole, in_core) in zip(counts, derived, strict=True):
+        most = {4: 2.2, 16: 5.8}.get(count)
+        cells = (f"by {count} numbers", f"{in_core / core_run:.2f} runs", f"{whole / run:.2f} runs")
+        rows.append(Row((*cells, f"{most or ''}"), most and in_core / core_run <= most))
+    return rows
+
+
+FIT: Final = """
+import json, sys, time
+from valve_sim.identification.diagnosis.identify import identify
+from valve_sim.files.parameter_files import default_valve
+from valve_sim.traces import read_trace
+trace = read_trace(sys.argv[1])
+started = time.perf_counter()
+identify([trace], default_valve().exact())
+print(json.dumps(time.perf_counter() - started))
+"""
+LONG_BAG: Final = 1_000_000
+"""JointStates in the bag whose reading is timed."""
+
+
+def commands(options: argparse.Namespace) -> list[Row]:
+    """What a user waits for; medians and bests of three, compiled before."""
+    trace = strokes()
+    with tempfile.TemporaryDirectory(prefix="valve_sim-") as place:
+        folder = Path(place)
+        bag, long_bag = folder / "strokes.mcap", folder / "long.mcap"
+        write_bag(bag, trace)
+        identify = [sys.executable, "-m", "valve_sim", "identify", str(bag), "--output", str(folder / "identified")]
+        fit = [sys.executable, "-c", FIT, str(bag)]
+        whole, fits = [], []
+        for _ in range(4):  # the first fills the compile cache, if nobody has
+            started = time.perf_counter()
+            subprocess.run(identify, check=True, capture_output=True)
+            whole.append(time.perf_counter() - started)
+            fits.append(float(json.loads(subprocess.run(fit, check=True, capture_output=True).stdout)))
+        samples = np.resize(trace.pilot_position, LONG_BAG)
+        repeated = {"pilot_position": samples, "main_position": samples, "times": np.arange(LONG_BAG) / 20e3}
+        write_bag(long_bag, dataclasses.replace(trace, **repeated))
+        rate = LONG_BAG / float(times_in_turn([lambda: read_trace(long_bag)], 3).min())
+    return [
+        wanted("identify, a new process", statistics.median(whole[1:]), 3.0, "s"),
+        wanted("of it fitting and intervals", statistics.median(fits[1:]), 1.0, "s"),
+        Row(("reading, JointStates a second", f"{rate:,.0f}", "≥ 400,000"), rate >= 4e5),
+    ]
+
+
+# --- long recordings --------------------------------------------------------------------------------------------------
+
+PERIOD, POWERED, RATE = 0.08, 0.04, 20_000
+"""s of a stroke, and of it under voltage; samples a second."""
+FLAT: Final = 1.2
+"""The time of one stroke in a longer recording, over that in the shortest, at most."""
+START_BYTES, BYTES_PER_SAMPLE = 250e6, 40.0
+"""Memory that a process may hold whatever the recording, and besides for each sample."""
+
+
+class Cost(NamedTuple):
+    """Of a process: CPU time, s, user and system, and the most memory it held, bytes."""
+
+    seconds: float
+    memory: float
+
+
+def run(command: Sequence[str], log: Path) -> Cost:
+    """Run `valve-sim` in a new process; SystemExit with its words where it fails."""
+    with log.open("w") as words:
+        process = os.posix_spawn(
+            sys.executable,
+            [sys.executable, "-m", "valve_sim", *command],
+            os.environ,
+            file_actions=[(os.POSIX_SPAWN_DUP2, words.fileno(), number) for number in (1, 2)],
+        )
+    _, status, usage = os.wait4(process, 0)
+    if status != 0:
+        raise SystemExit(f"valve-sim {' '.join(command)} failed:\n{log.read_text()[-2000:]}")
+    return Cost(usage.ru_utime + usage.ru_stime, usage.ru_maxrss * 1024)
+
+
+def costs_of(folder: Path, count: int) -> dict[str, Cost]:
+    """What each command costs on a recording of so many strokes that `simulate` wrote."""
+    profile, bag = folder / "profile.csv", folder / f"{count}.mcap"
+    on = 0.01 + PERIOD * np.arange(count)
+    rows = [f"{at:.3f},9.0\n{at + POWERED:.3f},0.0\n" for at in on.tolist()]
+    profile.write_text("time,volts\n" + "".join(rows))
+    errors = ["--noise-um", "1", "--quantisation-um", "0.1", "--rate", str(RATE)]
+    duration = ["--duration", f"{PERIOD * count:.3f}", "--output", str(bag)]
+    run(["simulate", "--profile", str(profile), *duration, *errors], folder / "log")
+    arguments = {
+        "info": ["info", str(bag)],
+        "identify": ["identify", str(bag), "--output", str(folder / "fit")],
+        "validate": ["validate", str(bag), "--params", str(config_path("valve.yaml")), "--tolerance-um", "17"],
+    }
+    found = {name: run(words, folder / "log") for name, words in arguments.items()}
+    bag.unlink()
+    return found
+
+
+def long(options: argparse.Namespace) -> list[Row]:
+    """What a stroke takes beyond starting, over one of the shortest recording; and bytes of memory a sample."""
+    rows, shortest = [], dict[str, float]()
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        costs_of(folder, 2)  # may compile
+        begins = costs_of(folder, 2)
+        for count in sorted(options.strokes):
+            for name, cost in costs_of(folder, count).items():
+                each = (cost.seconds - begins[name].seconds) / count
+                growth = each / shortest.setdefault(name, each)
+                memory = max((cost.memory - START_BYTES) / (count * PERIOD * RATE), 0.0)
+                cells = (f"{name}, {count}", f"{cost.seconds:.2f} s", f"{1e3 * each:.2f} ms", f"{growth:.2f}")
+                is_met = growth <= FLAT and memory <= BYTES_PER_SAMPLE
+                rows.append(Row((*cells, f"{cost.memory / 1e6:.0f} MB", f"{memory:.0f} B"), is_met))
+    return rows
+
+
+PARTS: Final[Mapping[str, Part]] = {
+    "core": Part("runs at 1e-8, one thread", ("what", "each", "wanted"), core),
+    "solvers": Part("15 ms opening, 150 outputs, 1e-8", ("what", "µs", "ratio", "event error, s", "wanted"), solvers),
+    "derivatives": Part("derivatives, CPU time", ("what", "in the core", "of a fit", "wanted"), derivatives),
+    "live": Part("live steps of 1 ms", ("what", "each", "wanted"), live),
+    "start": Part("start, CPU s", ("effects", "imports", "first result, empty cache", "full cache"), start),
+    "commands": Part("what a user waits for", ("what", "measured", "wanted"), commands),
+    "long": Part(
+        f"long recordings: at most {FLAT:g} a stroke, {BYTES_PER_SAMPLE:g} B a sample beyond 250 MB",
+        ("command, strokes", "CPU", "a stroke", "over the shortest", "memory", "a sample"), long,
+    ),
+}  # fmt: skip
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print the tables; 1 if a figure falls short."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    usual = [name for name in PARTS if name != "long"]
+    parser.add_argument("parts", nargs="*", metavar="PART", help=f"{', '.join(PARTS)} (default: all but long)")
+    parser.add_argument("--turns", type=int, default=30, help="of what is timed in turns (default: 30)")
+    parser.add_argument("--strokes", type=int, nargs="+", default=[100, 300, 1000], help="of long recordings")
+    options = parser.parse_args(arguments)
+    if unknown := [name for name in options.parts if name not in PARTS]:
+        parser.error(f"{unknown[0]}: expected some of {', '.join(PARTS)}")
+    is_good = True
+    for name in options.parts or usual:
+        part = PARTS[name]
+        table = Table(*part.headings, "", title=part.title)
+        for row in part.measure(options):
+            table.add_row(*row.cells, "" if row.is_met is None else "good" if row.is_met else "SHORT")
+            is_good = is_good and row.is_met is not False
+        Console(width=120).print(table)
+    return 0 if is_good else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,109 @@
+"""Diagnoses within a budget, which is counted in simulated strokes: what was left untried, and what is said of it."""
+
+from __future__ import annotations
+
+import io
+import math
+
+import pytest
+from plants.recording import Recorder, train_profile
+
+from valve_sim.identification.diagnosis.run import Diagnosis, diagnose, diagnose_plant
+from valve_sim.identification.estimation.budget import DERIVATIVES, STROKES_A_SECOND, Budget
+from valve_sim.identification.reporting.diagnosis_json import to_json
+from valve_sim.identification.reporting.summary import summarise
+from valve_sim.model import ValveError
+from valve_sim.progress_lines import ProgressLines
+
+from ..recordings import Short
+from .test_run import DECLARED, measured
+
+FRICTION = {"coulomb_friction": {"force": 0.05}}
+STRONG_FRICTION = {"coulomb_friction": {"force": 0.5}}
+"""No error of the recording takes up any of it."""
+FEW = ["coulomb_friction", "squeeze_film", "stiction", "quadratic_drag", "drive_gain", "coil_lag"]
+
+
+def test_work_is_counted_by_strokes_and_derivatives() -> None:
+    budget = Budget(10.0)
+    budget.count(5)
+    assert (budget.spent, budget.is_used_up) == (5.0, False)
+    budget.count(1, derivatives=4 * DERIVATIVES)
+    assert (budget.spent, budget.is_used_up) == (10.0, True)
+    assert Budget.of_seconds(120.0).strokes == 120.0 * STROKES_A_SECOND
+    endless = Budget.unlimited()
+    endless.count(10**12)
+    assert not endless.is_used_up
+
+
+@pytest.mark.parametrize("work", [0.0, -1.0, math.nan])
+def test_no_work_at_all_is_refused(work: float) -> None:
+    for made in (Budget, Budget.of_seconds):
+        with pytest.raises(ValveError, match="above 0"):
+            made(work)
+
+
+@pytest.fixture(scope="module")
+def plant() -> Short:
+    return Short([measured(FRICTION, train_profile(), Recorder(sample_rate=5e3), 10)], DECLARED, FEW)
+
+
+@pytest.fixture(scope="module")
+def whole(plant: Short) -> Diagnosis:
+    """A diagnosis without a budget."""
+    return diagnose_plant(plant, None)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("strokes", [1.0, 6000.0])
+def test_a_diagnosis_keeps_to_its_budget_and_says_what_it_left(strokes: float, plant: Short, whole: Diagnosis) -> None:
+    """What is begun is ended, and the declared model is always fitted; what is left claims nothing more surely."""
+    found = diagnose_plant(plant, None, budget=Budget(strokes))
+    assert found.untried
+    assert found.work < whole.work
+    assert found.allowed == strokes
+    assert to_json(found)["untried"] == list(found.untried)
+    assert (
+        f"{len(found.untried)} sets were left untried, by the budget or because they cannot be simulated"
+        in summarise(found)
+    )
+    assert found.verdict.probability <= whole.verdict.probability + 1e-3
+    assert found.after.train_rmse <= found.before.train_rmse
+
+
+@pytest.mark.long
+def test_with_work_enough_nothing_is_left_and_the_outcome_is_the_same(plant: Short, whole: Diagnosis) -> None:
+    within = diagnose_plant(plant, None, budget=Budget(1e6))
+    assert within.untried == ()
+    assert within.work == whole.work
+    first, second = to_json(whole), to_json(within)
+    assert first.keys() == second.keys()
+    assert {name for name in first if first[name] != second[name]} <= {"budget", "work", "allowed"}
+
+
+@pytest.mark.long
+def test_the_declared_model_is_fitted_whatever_the_work() -> None:
+    """With nothing left for any effect, the verdict says so and claims none."""
+    trace = measured(STRONG_FRICTION, train_profile(), Recorder(), 1)
+    found = diagnose([trace], [], DECLARED, budget=Budget(1.0))
+    assert (found.verdict.kind, found.verdict.effects) == ("insufficient", ())
+    assert len(found.untried) > 20
+
+
+def test_progress_is_a_line_for_each_wait() -> None:
+    stream, times = io.StringIO(), iter([100.0, 110.0, 120.4])
+    told = iter([("coulomb_friction", 0.1), ("coil_heating", 0.25)])
+
+    def wait() -> bool:
+        latest = next(told, None)
+        if latest is not None:
+            lines(*latest)
+        return latest is None
+
+    lines = ProgressLines(stream, wait, lambda: next(times))
+    with lines:
+        pass
+    assert stream.getvalue().splitlines() == [
+        "valve-sim: 10 s, 10 % done: coulomb_friction",
+        "valve-sim: 20 s, 25 % done: coil_heating",
+    ]

@@ -1,0 +1,154 @@
+"""Recordings as laboratories make them: nothing is named that is the laboratory's, and its errors come out."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from plants.laboratory import Laboratory, measure, true_sizes
+from plants.recording import holdout_profile, train_profile
+from plants.tolerances import SHEET_VALVE, declared_tolerances
+
+from benchmarks.campaign.declared import as_trace, declared_valve
+from valve_sim.files.json_text import plain
+from valve_sim.identification.diagnosis.recording_state import state_of_recording
+from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
+from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.identification.reporting.diagnosis_json import to_json
+from valve_sim.identification.reporting.html import write_report
+from valve_sim.identification.reporting.recording_state import state_json, state_lines
+from valve_sim.identification.reporting.text import diagnosis_text
+from valve_sim.identification.reporting.units import quantity
+from valve_sim.model import ParameterError
+from valve_sim.traces import Trace
+
+LABORATORIES = {
+    "hum and a soft supply": (Laboratory(hum=1e-6, supply_resistance=0.5), ("hum", "supply")),
+    "drift and a mount that rings": (
+        Laboratory(drift=4e-6, ringing=3e-6, ringing_frequency=800.0),
+        ("drift", "ringing"),
+    ),
+    "strokes that vary": (Laboratory(stroke_variation=0.15), ("stroke_variation",)),
+}
+"""What is wrong in each, and the errors that are to come out."""
+
+
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(name, marks=pytest.mark.long) for name in LABORATORIES],
+)
+def laboratory(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+DECLARED = declared_valve(SHEET_VALVE, declared_tolerances(SHEET_VALVE))
+
+
+def measured(laboratory: Laboratory, name: str, **effects: dict[str, float]) -> Trace:
+    """Eight strokes, or four others, of a valve that is as declared but for these effects."""
+    seed, profile = {"train": (5, train_profile()), "other": (6, holdout_profile())}[name]
+    return as_trace(measure(SHEET_VALVE, effects, profile, laboratory, seed), f"{name}.mcap")
+
+
+@pytest.fixture(scope="module")
+def found(laboratory: str) -> Diagnosis:
+    made = LABORATORIES[laboratory][0]
+    return diagnose([measured(made, "train")], [measured(made, "other")], DECLARED)
+
+
+def test_nothing_is_missing(found: Diagnosis) -> None:
+    assert (found.verdict.kind, found.verdict.effects) == ("none", ())
+
+
+def test_held_out_strokes_are_predicted_to_the_noise(found: Diagnosis) -> None:
+    noise = found.before.fit.problem.noise.sigma
+    assert found.after.holdout_rmse < 1.2 * noise
+
+
+def test_each_error_comes_out_with_its_size(laboratory: str, found: Diagnosis) -> None:
+    made, names = LABORATORIES[laboratory]
+    there = {entry.error: entry for entry in reversed(found.recording["train.mcap"])}
+    for name in names:
+        assert there[name].probability > 0.9
+        # Of eight strokes, or of sixteen ramps, a standard deviation is known to a quarter.
+        assert true_sizes(made)[name] / 1.8 < there[name].size < 1.8 * true_sizes(made)[name]
+        assert there[name].low < there[name].size < there[name].high
+
+
+def test_reports_say_the_state_of_the_recording(laboratory: str, found: Diagnosis, tmp_path: Path) -> None:
+    entries = json.loads(json.dumps(to_json(found), allow_nan=False))["recording"]
+    assert set(entries) == {"train.mcap", "other.mcap"}
+    names = [entry["error"] for entry in entries["train.mcap"]]
+    assert {"clock_offset", "clock_rate", "drift", "hum", "scale", "bend", "supply", "stroke_variation"} <= set(names)
+    for entry in entries["train.mcap"]:
+        assert entry["unit"] in ("um", "us", "ppm", "%", "ohm")
+        assert 0.0 <= entry["probability"] <= 1.0
+        assert entry["what_to_do"]
+        assert len(entry["ci95"]) == 2
+    words = diagnosis_text(found)
+    assert "State of the recording train.mcap" in words
+    write_report(found, tmp_path / "report.html")
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "State of the recording" in page
+    assert "<polyline" in page
+    for name in LABORATORIES[laboratory][1]:
+        assert f'<code class="code">{name}</code>' in page
+
+
+@pytest.mark.long
+def test_a_declared_average_of_readings_is_no_effect_of_the_valve() -> None:
+    recordings = [
+        measure(SHEET_VALVE, {}, profile, Laboratory(averaging=8), seed)
+        for seed, profile in ((5, train_profile()), (6, holdout_profile()))
+    ]
+    train, other = (replace(as_trace(recording, "x"), averaging=8) for recording in recordings)
+    found = diagnose([train], [other], declared_valve(SHEET_VALVE, declared_tolerances(SHEET_VALVE)))
+    assert (found.verdict.kind, found.verdict.effects) == ("none", ())
+    for name in ("pilot_damping", "main_damping"):
+        assert found.after.intervals[name].low < SHEET_VALVE[name] < found.after.intervals[name].high
+
+
+def test_a_declared_bandwidth_of_the_sensor_is_no_effect_of_the_valve() -> None:
+    recording = measure(
+        SHEET_VALVE, {"sensor_bandwidth": {"cutoff_frequency": 500.0}}, train_profile(), Laboratory(), 7
+    )
+    valve = declared_valve(SHEET_VALVE, declared_tolerances(SHEET_VALVE))
+    found = diagnose([replace(as_trace(recording, "x"), bandwidth=500.0)], [], valve)
+    assert (found.verdict.kind, found.verdict.effects) == ("none", ())
+    assert found.valve.effects == {"sensor_bandwidth": {"cutoff_frequency": 500.0}}
+
+
+def test_a_sensor_has_one_bandwidth() -> None:
+    trace = as_trace(measure(SHEET_VALVE, {}, train_profile(), Laboratory(), 8), "first")
+    valve = declared_valve(SHEET_VALVE, {})
+    with pytest.raises(ParameterError, match="second: its sensor has not the 500 Hz of the other recordings"):
+        ValvePlant([replace(trace, bandwidth=500.0), replace(trace, source="second")], valve)
+    slow = replace(valve, effects={"sensor_bandwidth": {"cutoff_frequency": 800.0}})
+    with pytest.raises(ParameterError, match=r"declares sensor\.bandwidth 500 Hz, and the valve .* 800 Hz"):
+        ValvePlant([replace(trace, bandwidth=500.0)], slow)
+
+
+def test_a_state_says_what_errors_hide_and_what_to_do() -> None:
+    state = state_of_recording(measured(Laboratory(hum=3e-6, stroke_variation=0.15), "train"), DECLARED)
+    there = {entry.error for entry in state.errors if entry.is_likely}
+    assert {"hum", "stroke_variation"} <= there
+    assert state.limits["coulomb_friction"]["force"] > 1.1 * state.without_errors["coulomb_friction"]["force"]
+    hidden = state.hidden["stroke_variation"]
+    assert hidden.without < hidden.limit
+    words = "\n".join(state_lines(state))
+    assert "hum of the mains" in words
+    assert "ground the sensor at one point" in words
+    assert "record more strokes" in words
+    assert f"would be named from {quantity(hidden.without, hidden.unit)} on" in words
+    entries = json.loads(json.dumps(plain(state_json(state)), allow_nan=False))
+    assert {"drift", "hum", "stroke_variation"} <= {entry["error"] for entry in entries["recording"]}
+
+
+def test_no_state_is_told_beside_a_model_that_lacks_something() -> None:
+    trace = measured(Laboratory(), "train", coulomb_friction={"force": 0.3})
+    state = state_of_recording(trace, DECLARED)
+    assert not state.errors
+    first, *_ = state_lines(state)
+    assert "cannot be told from what the declared model lacks" in first

@@ -1,0 +1,114 @@
+"""Rows that stand for many samples of a machine at rest say what all of these say."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from model.gas.cases import gas_valve
+from plants.recording import Recorder
+
+from identification.plants.test_gas import trace_of
+from identification.recordings import FINE, recorded
+from valve_sim.files.parameter_files import default_valve
+from valve_sim.identification.estimation.condensed import Condensed
+from valve_sim.identification.estimation.descent import SolverOptions
+from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.estimation.solver import fit
+from valve_sim.identification.plants.protocol import strokes_of_plant
+from valve_sim.identification.plants.valve import ValvePlant
+
+BOTH = ("pilot_damping", "main_damping")
+COLOURED, COARSE = Recorder(colour=0.7, with_current=True), Recorder(quantisation=5e-6)
+
+
+def problem_of(recorder: Recorder) -> Problem:
+    return Problem(ValvePlant([recorded(recorder)], default_valve().exact()))
+
+
+@pytest.fixture(scope="module", params=[FINE, COLOURED, COARSE], ids=["white", "coloured", "coarse"])
+def problem(request: pytest.FixtureRequest) -> Problem:
+    return problem_of(request.param)
+
+
+def chi2(rows: Problem | Condensed, values: Mapping[str, float]) -> float:
+    return rows.constant + float(np.sum(np.square(rows.residuals(values))))
+
+
+def test_few_rows_have_the_criterion_of_all_samples(problem: Problem) -> None:
+    rows = problem.condensed().rows
+    assert isinstance(rows, Condensed)
+    assert np.sum(rows.counts) == pytest.approx(problem.samples, abs=1)
+    assert len(rows.counts) < 0.5 * problem.samples
+    for values in ({}, {"pilot_damping": 1.4, "main_damping": 3.2}, {"stroke_offset.offset": 2e-6}):
+        assert chi2(rows, values) == pytest.approx(chi2(problem, values), abs=0.01)
+
+
+def test_a_fit_to_few_rows_ends_where_one_to_all_samples_does(problem: Problem) -> None:
+    nuisances = (*problem.plant.nuisances, *problem.plant.timing_errors)
+    every, few = (fit(one, BOTH, {}, nuisances=nuisances) for one in (problem, problem.condensed()))
+    assert few.converged
+    assert few.log_evidence == pytest.approx(every.log_evidence, abs=0.01)
+    for name in BOTH:
+        assert abs(few.values[name] - every.values[name]) < 1e-3 * every.stderr(name)
+    # What is asked of a fit beside its optimum is of every sample.
+    assert few.residuals.shape == every.residuals.shape
+    np.testing.assert_allclose(few.jacobian, every.jacobian, atol=1e-3 * float(np.max(np.abs(every.jacobian))))
+
+
+def test_a_fit_to_few_rows_is_gone_on_with(problem: Problem) -> None:
+    few, afar = problem.condensed(), {"pilot_damping": 0.05, "main_damping": 20.0}
+    whole = fit(few, BOTH, afar)
+    begun = fit(few, BOTH, afar, effort=SolverOptions(most=2))
+    assert not begun.converged
+    on = fit(few, BOTH, begun, effort=SolverOptions(made=2))
+    assert on.chi2 == pytest.approx(whole.chi2, rel=1e-12)
+
+
+def test_what_settles_is_read_at_the_middle_of_short_blocks() -> None:
+    """A slow sensor still moves where the plunger has come to rest: 800 Hz, 0.2 ms."""
+    problem = problem_of(FINE)
+    values = {"sensor_bandwidth.cutoff_frequency": 800.0}
+    assert chi2(problem.condensed().rows, values) == pytest.approx(chi2(problem, values), rel=1e-5)
+
+
+def test_a_plunger_that_creeps_is_read_at_more_samples() -> None:
+    trace = recorded(FINE)
+    late = np.maximum(trace.times - trace.drive.times[-1] - 8e-3, 0.0)
+    creeping = replace(trace, pilot_position=trace.pilot_position + 1e-3 * late)
+    still, moving = (Problem(ValvePlant([one], default_valve().exact())).condensed() for one in (trace, creeping))
+    assert len(moving.rows.residuals({})) > len(still.rows.residuals({})) + 100
+
+
+def test_a_loss_that_counts_far_residuals_less_is_of_each_sample() -> None:
+    problem = problem_of(FINE)
+    robust = SolverOptions((100.0,), most=0)
+    every, few = (fit(one, BOTH, {}, effort=robust) for one in (problem, problem.condensed()))
+    assert few.values == every.values
+
+
+@pytest.mark.long
+def test_a_valve_with_gas_is_fitted_to_every_sample() -> None:
+    valve = gas_valve()
+    problem = Problem(ValvePlant([trace_of(valve)], valve)).condensed()
+    assert problem.rows is problem
+
+
+def test_other_noise_is_that_of_the_rows_too() -> None:
+    problem = problem_of(FINE).condensed()
+    before = chi2(problem.rows, {})
+    noise = problem.noises["position"]
+    doubled = replace(noise, sigma=2.0 * noise.sigma, innovation=2.0 * noise.innovation)
+    assert chi2(problem.with_noises({"position": doubled}).rows, {}) == pytest.approx(before / 4.0, rel=1e-9)
+    assert problem.with_every_row().rows.constant == 0.0
+
+
+def test_work_on_rows_is_counted_as_that_on_samples() -> None:
+    problem = problem_of(FINE)
+    problem.residuals({})
+    by_samples = problem.budget.spent
+    assert by_samples == len(strokes_of_plant(problem.plant))
+    problem.condensed().rows.residuals({})
+    assert problem.budget.spent == 2.0 * by_samples

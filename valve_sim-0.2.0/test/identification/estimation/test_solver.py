@@ -1,0 +1,313 @@
+"""Least squares on whitened residuals: optimum, bounds, intervals, starts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from identification.diagnosis.test_sound_verdicts import Decay
+from identification.recordings import TRUTH, one_opening, recorded
+from valve_sim.files.parameter_files import default_valve
+from valve_sim.identification.estimation.budget import Budget
+from valve_sim.identification.estimation.descent import TRIAL, Descent, SolverOptions
+from valve_sim.identification.estimation.intervals import Interval, Unbounded, covariance_interval, profile_interval
+from valve_sim.identification.estimation.priors import Cauchy
+from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.estimation.solver import fit
+from valve_sim.identification.plants.protocol import (
+    Direction,
+    Sensitivities,
+    from_internal,
+    internal_bounds,
+    to_internal,
+)
+from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.identification.reporting.intervals import interval_json
+from valve_sim.model import CATALOGUE, DECLARED, SimulationError, Tolerances, Valve, simulate
+from valve_sim.traces import Signal, Trace
+
+EXACT_VALVE = default_valve().exact()
+
+BOTH = ("pilot_damping", "main_damping")
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    return Problem(ValvePlant([recorded()], EXACT_VALVE))
+
+
+def test_it_finds_the_optimum_that_scipy_finds(problem: Problem) -> None:
+    nuisances = problem.plant.nuisances[:1]
+    ours = fit(problem, BOTH, {}, nuisances=nuisances)
+    sigma = nuisances[0].sigma
+
+    def residuals(at: np.ndarray) -> np.ndarray:
+        values = {"pilot_damping": at[0], "main_damping": at[1], nuisances[0].name: at[2] * sigma}
+        priors = [math.log(at[place] / problem.plant.declared(name)) for place, name in enumerate(BOTH)]
+        return np.concatenate([problem.residuals(values), priors, at[2:]])
+
+    theirs = least_squares(residuals, [1.0, 4.0, 0.0], x_scale=[0.01, 0.01, 0.01], diff_step=1e-4)
+    assert ours.converged
+    assert ours.chi2 == pytest.approx(2.0 * theirs.cost, abs=0.02)
+    for name, value in zip(BOTH, theirs.x, strict=False):
+        assert abs(ours.values[name] - value) < 0.1 * ours.stderr(name)
+
+
+def test_a_fit_that_cannot_reach_its_goal_is_given_up(problem: Problem) -> None:
+    afar = {"pilot_damping": 0.05, "main_damping": 20.0}
+    whole = fit(problem, BOTH, afar)
+    begun = fit(problem, BOTH, afar, effort=SolverOptions(most=2))
+    assert not begun.converged
+    assert begun.chi2 > whole.chi2 + 1.0
+    # What it would have to gain is a thousand times what a step would gain.
+    hopeless = fit(problem, BOTH, begun.values, effort=SolverOptions(goal=-1e3 * begun.chi2, made=TRIAL))
+    assert hopeless.values == pytest.approx(begun.values, rel=1e-12)
+    assert not hopeless.converged
+    # A goal within reach changes nothing.
+    again = fit(problem, BOTH, begun.values, effort=SolverOptions(goal=whole.chi2, made=TRIAL))
+    assert again.converged
+    assert again.chi2 == pytest.approx(whole.chi2, abs=0.02)
+
+
+@pytest.mark.parametrize("is_dropped", [False, True])
+def test_a_fit_that_ended_early_is_gone_on_with(problem: Problem, is_dropped: bool) -> None:
+    afar = {"pilot_damping": 0.05, "main_damping": 20.0}
+    whole = fit(problem, BOTH, afar, nuisances=problem.plant.nuisances)
+    begun = fit(problem, BOTH, afar, nuisances=problem.plant.nuisances, effort=SolverOptions(most=2))
+    assert whole.chi2 > begun.chi2_lower_bound
+    if is_dropped:
+        begun.derivatives.drop()
+    on = fit(problem, BOTH, begun, nuisances=problem.plant.nuisances, effort=SolverOptions(made=2))
+    assert on.converged
+    assert on.values == pytest.approx(whole.values, rel=1e-9)
+    assert on.chi2 == pytest.approx(whole.chi2, rel=1e-12)
+    assert on.damping == whole.damping < begun.damping
+
+
+def test_a_jacobian_that_was_dropped_is_worked_out_again_even_when_the_work_is_used_up() -> None:
+    problem = Problem(ValvePlant([recorded()], EXACT_VALVE), budget=Budget(1.0))
+    found = fit(problem, BOTH, {}, nuisances=problem.plant.nuisances)
+    before = found.jacobian
+    assert found.jacobian is before
+    assert problem.budget.is_used_up
+    spent = problem.budget.spent
+    found.derivatives.drop()
+    assert found.jacobian is not before
+    np.testing.assert_allclose(found.jacobian, before, rtol=1e-9, atol=1e-9 * float(np.max(np.abs(before))))
+    assert problem.budget.spent == spent
+
+
+@pytest.mark.parametrize("start", [(0.05, 20.0), (10.0, 0.3), (1.0, 4.0)])
+def test_it_arrives_from_afar(problem: Problem, start: tuple[float, float]) -> None:
+    found = fit(problem, BOTH, dict(zip(BOTH, start, strict=True)), nuisances=problem.plant.nuisances)
+    for name, truth in TRUTH.items():
+        assert abs(found.values[name] - truth) < 4.0 * found.stderr(name)
+
+
+def test_the_residual_of_the_truth_is_white(problem: Problem) -> None:
+    found = fit(problem, BOTH, {}, nuisances=problem.plant.nuisances)
+    assert found.chi2 == pytest.approx(problem.effective_samples, rel=0.05)
+    assert abs(np.corrcoef(found.residuals[1:], found.residuals[:-1])[0, 1]) < 0.03
+
+
+def test_profile_and_covariance_agree_where_the_data_hold_a_parameter(problem: Problem) -> None:
+    found = fit(problem, BOTH, {}, nuisances=problem.plant.nuisances)
+    for name in BOTH:
+        profile, curve = profile_interval(found, name)
+        plain = covariance_interval(found, name)
+        assert (profile.low, profile.high) == pytest.approx((plain.low, plain.high), abs=0.1 * plain.stderr)
+        assert profile.low < TRUTH[name] < profile.high
+        assert [value for value, _ in curve] == sorted(value for value, _ in curve)
+        assert min(rise for _, rise in curve) == 0.0
+
+
+def test_a_bound_is_kept_and_named() -> None:
+    """A valve with less damping than the model: less friction than none would fit best."""
+    problem = Problem(ValvePlant([recorded()], EXACT_VALVE.with_values(pilot_damping=2.0, main_damping=4.5)))
+    found = fit(problem, ("coulomb_friction.force",), {}, nuisances=problem.plant.nuisances)
+    assert found.values["coulomb_friction.force"] == 0.0
+    assert found.on_bound("coulomb_friction.force") == "lower"
+    interval, _ = profile_interval(found, "coulomb_friction.force")
+    assert interval.low == 0.0 < interval.high
+
+
+def test_a_parameter_without_influence_stays_flat() -> None:
+    """The current is not measured, so its scale moves nothing."""
+    problem = Problem(ValvePlant([one_opening()], EXACT_VALVE))
+    found = fit(problem, ("coil_resistance", "main_damping"), {}, nuisances=problem.plant.nuisances)
+    # What its prior says, by the parabola that touches a Cauchy density.
+    prior = problem.prior("coil_resistance")
+    assert isinstance(prior, Cauchy)
+    assert found.stderr("coil_resistance") == pytest.approx(prior.scale / math.sqrt(2.0))
+    assert abs(found.correlation()[0, 1]) < 1e-9
+    interval, _ = profile_interval(found, "coil_resistance")
+    assert interval.unbounded is Unbounded.FLAT_PROFILE
+    lower, upper = internal_bounds(DECLARED["coil_resistance"])
+    assert (interval.low, interval.high) == pytest.approx(
+        (
+            from_internal(DECLARED["coil_resistance"], lower),
+            from_internal(DECLARED["coil_resistance"], upper),
+        )
+    )
+
+
+def test_a_clock_offset_is_a_nuisance_with_a_prior() -> None:
+    """Samples that are stamped 80 µs late move no damping."""
+    trace = recorded()
+    late = type(trace)(trace.source, trace.drive, trace.times + 80e-6, trace.pilot_position)
+    problem = Problem(ValvePlant([late], EXACT_VALVE))
+    found = fit(problem, BOTH, {}, nuisances=problem.plant.nuisances)
+    assert found.values["clock_offset[0]"] == pytest.approx(80e-6, abs=1e-6)
+    for name, truth in TRUTH.items():
+        assert abs(found.values[name] - truth) < 4.0 * found.stderr(name)
+
+
+def test_held_out_samples_take_no_part() -> None:
+    trace = recorded()
+    spoiled = trace.pilot_position.copy()
+    spoiled[trace.times > 0.25] += 1e-4
+    broken = type(trace)(trace.source, trace.drive, trace.times, spoiled)
+    whole = Problem(
+        ValvePlant([broken], EXACT_VALVE),
+        noises=Problem(ValvePlant([trace], EXACT_VALVE)).noises,
+    )
+    first = whole.restricted(lambda channel, group: group < 4)
+    found = fit(first, BOTH, {}, nuisances=first.plant.nuisances)
+    assert 0 < first.samples < whole.samples
+    for name, truth in TRUTH.items():
+        assert abs(found.values[name] - truth) < 4.0 * found.stderr(name)
+
+
+@pytest.mark.parametrize("effect", list(CATALOGUE))
+def test_search_coordinates_lead_back(effect: str) -> None:
+    for parameter in CATALOGUE[effect].parameters:
+        value = parameter.prior_scale
+        assert from_internal(parameter, to_internal(parameter, value)) == pytest.approx(value, rel=1e-12)
+        if parameter.off is not None:
+            assert from_internal(parameter, to_internal(parameter, parameter.off)) == parameter.off
+
+
+def test_what_cannot_be_simulated_is_an_error(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(values: object) -> None:
+        raise SimulationError("no")
+
+    monkeypatch.setattr(problem.plant, "predict", refuse)
+    with pytest.raises(SimulationError, match="start of the fit"):
+        fit(problem, BOTH, {})
+
+
+class Steep(Decay):
+    """A decay whose derivatives are finite, and their squares are not."""
+
+    def sensitivities(self, values: Mapping[str, float], directions: Sequence[Direction]) -> Sensitivities:
+        columns = np.full((len(self.times), len(directions)), 1e200)
+        return Sensitivities([columns], np.ones(len(directions), dtype=bool))
+
+
+def test_derivatives_that_are_too_large_to_be_squared_are_an_error() -> None:
+    problem = Problem(Steep("current", "A", Decay("current", "A").predict({"gain": 1.3})))
+    with pytest.raises(SimulationError, match="derivatives are too large"):
+        fit(problem, ("gain",), {})
+
+
+def test_a_parameter_that_the_data_hardly_hold_costs_no_evidence(problem: Problem) -> None:
+    """The current is not measured, so its scale moves nothing. A parabola holds 0.56 of a Cauchy density's mass."""
+    plain = fit(problem, BOTH, {}, nuisances=problem.plant.nuisances)
+    idle = fit(problem, (*BOTH, "coil_resistance"), plain.values, nuisances=problem.plant.nuisances)
+    assert idle.log_evidence == pytest.approx(plain.log_evidence, abs=0.6)
+    fixed = fit(problem, BOTH[:1], {}, nuisances=problem.plant.nuisances, fixed={"main_damping": TRUTH["main_damping"]})
+    assert fixed.log_evidence > plain.log_evidence + 2.0
+
+
+def test_infinities_become_null_in_json() -> None:
+    entry = interval_json(Interval(1.0, math.inf, 0.0, math.inf, Unbounded.FLAT_PROFILE))
+    assert entry == {
+        "value": 1.0,
+        "stderr": None,
+        "ci95": [0.0, None],
+        "remark": "the profile is flat: these data do not determine it",
+    }
+
+
+class ByQuotients(ValvePlant):
+    """The valve without derivatives of its own."""
+
+    sensitivities = None  # type: ignore[assignment]
+
+
+def tolerant() -> Valve:
+    """The default valve, whose declared values are known within tolerances."""
+    declared = {"spring_rate": 4.0, "spring_preload": 0.02, "pilot_gap": 2e-6, "stroke": 2e-6, "moving_mass": 1e-4}
+    covariance = tuple(map(tuple, np.diag([0.03, 100.0, 1e5, 1e8]) ** 2))
+    return replace(default_valve(), tolerances=Tolerances(declared, covariance))
+
+
+def with_current(trace: Trace) -> Trace:
+    """A recording with a coil current beside, from the default valve, sampled at no command's own time."""
+    times = trace.times + 13e-6
+    current = simulate(default_valve(), trace.drive, times).coil_current
+    noise = 1e-3 * np.random.default_rng(2).standard_normal(len(current))
+    return replace(trace, coil_current=Signal(times, current + noise))
+
+
+def searched(plant: ValvePlant, effect: str | None) -> tuple[Descent, np.ndarray]:
+    """A search with everything free beside an effect, and where it starts."""
+    parameters = CATALOGUE[effect].parameters if effect else ()
+    start = {f"{effect}.{parameter.name}": parameter.prior_scale for parameter in parameters}
+    nuisances = (*plant.nuisances, *plant.timing_errors)
+    search = Descent(Problem(plant), (*BOTH, "reference_voltage", *start), nuisances, {}, None)
+    return search, search.start(start)
+
+
+def residuals(search: Descent, at: np.ndarray) -> np.ndarray:
+    found = search.residuals(at)
+    assert found is not None
+    return found
+
+
+def size(search: Descent, column: int) -> float:
+    """Of a step in a coordinate: short, yet long enough for what the integrator's tolerance adds."""
+    nuisance = column - len(search.free)
+    if nuisance >= 0 and search.nuisances[nuisance].is_of_machine:
+        return 2e-5 * search.nuisances[nuisance].sigma
+    return 1e-3 * float(search.steps[column])
+
+
+@pytest.mark.parametrize("effect", [None, "squeeze_film", "eddy_lag", "magnetic_saturation"])
+def test_derivatives_of_the_plant_are_those_of_small_differences(effect: str | None) -> None:
+    trace = with_current(recorded())
+    search, at = searched(ValvePlant([trace, replace(trace, source="again")], tolerant()), effect)
+    jacobian = search.jacobian(at, residuals(search, at))
+    columns = range(len(search.free)) if effect else range(len(at))
+    for column in columns:
+        # So short that no sample lies between an event and where the step moves it.
+        step = size(search, column) * (np.arange(len(at)) == column)
+        expected = (residuals(search, at + step) - residuals(search, at - step)) / (2.0 * step[column])
+        assert np.linalg.norm(jacobian[:, column] - expected) < 1e-5 * np.linalg.norm(expected), search.values(at)
+
+
+def test_where_the_plant_knows_none_difference_quotients_stand() -> None:
+    """A lag of 0 is off, and acts at once on one side of it."""
+    found = []
+    for kind in (ValvePlant, ByQuotients):
+        search, at = searched(kind([recorded()], EXACT_VALVE), "eddy_lag")
+        lag = search.free.index("eddy_lag.time_constant")
+        at[lag] = to_internal(CATALOGUE["eddy_lag"].parameter("time_constant"), 0.0)
+        found.append(search.jacobian(at, residuals(search, at))[:, lag])
+    assert np.any(found[0])
+    assert np.array_equal(*found)
+
+
+@pytest.mark.parametrize("valve", [EXACT_VALVE, tolerant()], ids=["exact", "tolerant"])
+def test_fitted_values_are_those_of_difference_quotients(valve: Valve) -> None:
+    trace = recorded()
+    ours = fit(Problem(ValvePlant([trace], valve)), BOTH, {}, nuisances=ValvePlant([trace], valve).nuisances)
+    theirs = fit(Problem(ByQuotients([trace], valve)), BOTH, {}, nuisances=ours.nuisances)
+    for name in BOTH:
+        assert abs(ours.values[name] - theirs.values[name]) < 0.01 * ours.stderr(name)
+        assert ours.stderr(name) == pytest.approx(theirs.stderr(name), rel=1e-3)

@@ -1,0 +1,246 @@
+"""The attraction polynomial from a static table: values, honest intervals, and what a missing constant term does."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from valve_sim.files.parameter_files import default_valve, load_valve, save_valve
+from valve_sim.files.recording_map import MapError, load_force_map
+from valve_sim.files.tables import TableError
+from valve_sim.identification.estimation.static_force import BeginsLate, EndsEarly, StartOfMotion, fit_static_force
+from valve_sim.identification.reporting.findings import remarks
+from valve_sim.identification.reporting.static_force import static_force_json
+from valve_sim.model import Tolerances, ValveError, can_open
+
+TRUTH = np.array([3.0336, 17.096e3, -30.931e6, 24.026e9])
+NOISE = 0.05  # N
+
+
+def table(
+    folder: Path, seed: int = 0, *, scale: float = 1.0, points: int = 60, begin: float = 0.0, end: float = 1.23e-3
+) -> Path:
+    """A table of the default valve's attraction, as a load cell with noise would show it."""
+    displacement = np.linspace(begin, end, points)
+    force = scale * np.polynomial.polynomial.polyval(displacement, TRUTH)
+    force += NOISE * np.random.default_rng(seed).standard_normal(points)
+    path = folder / f"force_{seed}.csv"
+    rows = np.column_stack([displacement, force])
+    np.savetxt(path, rows, delimiter=",", header="displacement,force", comments="")
+    return path
+
+
+def test_95_percent_intervals_hold_the_truth_in_95_percent_of_tables(tmp_path: Path):
+    inside = np.zeros(4)
+    for seed in range(200):
+        # Few points, so that Student's t and the normal distribution differ (2.23 against 1.96).
+        found = fit_static_force(table(tmp_path, seed, points=14), default_valve()).intervals
+        inside += [found[f"a{power}"].low <= TRUTH[power] <= found[f"a{power}"].high for power in range(4)]
+    # 95 % of 200 with three standard errors of a proportion.
+    assert np.all(np.abs(inside / 200 - 0.95) < 3 * np.sqrt(0.95 * 0.05 / 200))
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3])
+def test_the_covariance_is_that_of_numpys_polyfit(tmp_path: Path, degree: int):
+    path = table(tmp_path)
+    displacement, force = np.loadtxt(path, delimiter=",", skiprows=1).T
+    coefficients, covariance = np.polyfit(displacement * 1e3, force, degree, cov=True)  # in mm: polyfit's rcond
+    units = 1e3 ** np.arange(degree + 1)
+    found = fit_static_force(path, default_valve(), degree=degree).valve
+    matrix = np.array(found.tolerances.attraction_covariance)
+    np.testing.assert_allclose(
+        matrix[: degree + 1, : degree + 1], covariance[::-1, ::-1] * np.outer(units, units), rtol=1e-6
+    )
+    assert not np.any(matrix[degree + 1 :]), "terms that are not fitted are exact"
+    assert not np.any(matrix[:, degree + 1 :])
+    np.testing.assert_allclose(found.parameters.attraction_polynomial[: degree + 1], coefficients[::-1] * units)
+
+
+def test_the_covariance_is_how_tables_scatter(tmp_path: Path):
+    """Measured at 4.5 V, a quarter of the force with the same noise: four times the scatter at the reference."""
+    count = 400
+    fits = [
+        fit_static_force(table(tmp_path, seed, scale=0.25), default_valve(), voltage=4.5).valve for seed in range(count)
+    ]
+    errors = np.array([valve.parameters.attraction_polynomial for valve in fits]) - TRUTH
+    said = np.mean([np.array(valve.tolerances.attraction_covariance) for valve in fits], axis=0)
+    # In coordinates in which what is said is the unit matrix, what is seen is Wishart: 1 ± sqrt(2 / count).
+    coordinates = np.linalg.solve(np.linalg.cholesky(said), errors.T)
+    seen = coordinates @ coordinates.T / count
+    assert np.diag(seen) == pytest.approx(1.0, abs=3.5 * np.sqrt(2.0 / count))
+    assert seen - np.diag(np.diag(seen)) == pytest.approx(np.zeros((4, 4)), abs=3.5 * np.sqrt(1.0 / count))
+
+
+def test_the_file_keeps_the_covariance_and_the_other_tolerances(tmp_path: Path):
+    known = replace(default_valve(), tolerances=Tolerances({"stroke": 4e-6}))
+    found = fit_static_force(table(tmp_path), known, constant=False)
+    save_valve(tmp_path / "attraction.yaml", found.valve, "fitted")
+    again = load_valve(tmp_path / "attraction.yaml")
+    assert again == found.valve
+    assert again.tolerances.declared == {"stroke": 4e-6}
+    matrix = again.tolerances.attraction_covariance
+    assert matrix is not None
+    assert matrix[0] == (0.0, 0.0, 0.0, 0.0)
+    assert np.sqrt(matrix[1][1]) == pytest.approx(found.intervals["a1"].stderr)
+    assert static_force_json(found)["attraction_covariance"] == [value for row in matrix for value in row]
+
+
+def test_residual_is_the_noise(tmp_path: Path):
+    found = fit_static_force(table(tmp_path, points=2000), default_valve())
+    assert found.rmse == pytest.approx(NOISE, rel=0.05)
+    assert static_force_json(found)["samples"] == 2000
+
+
+def test_force_at_another_voltage_is_scaled_to_the_reference(tmp_path: Path):
+    found = fit_static_force(table(tmp_path, scale=4.0), default_valve(), voltage=18.0)
+    assert found.valve.parameters.attraction_polynomial[0] == pytest.approx(TRUTH[0], abs=0.05)
+    assert np.max(np.abs(found.force - found.predicted)) < 5 * NOISE
+
+
+def test_constant_term_is_said_to_start_the_motion(tmp_path: Path):
+    result = fit_static_force(table(tmp_path), default_valve())
+    (start,) = result.findings
+    assert isinstance(start, StartOfMotion)
+    assert start.constant == result.intervals["a0"]
+    assert start.opening.meets_main == pytest.approx(5.3e-3, rel=0.1)
+    assert start.opening.reaches_stop == pytest.approx(9.9e-3, rel=0.1)
+    assert start.without is not None
+    assert math.isnan(start.without.meets_main)
+    (sentence,) = remarks(result.findings)
+    assert "starts the motion" in sentence
+    assert "without it the valve never opens at 9 V" in sentence
+
+
+def test_without_a_constant_term_the_valve_is_said_never_to_open(tmp_path: Path):
+    found = fit_static_force(table(tmp_path), default_valve(), constant=False)
+    assert found.valve.parameters.attraction_polynomial[0] == 0.0
+    assert set(found.intervals) == {"a1", "a2", "a3"}
+    assert "never opens at 9 V" in remarks(found.findings)[0]
+    assert not can_open(found.valve)
+
+
+def test_a_table_that_begins_away_from_the_seat_is_said_to_extrapolate(tmp_path: Path):
+    result = fit_static_force(table(tmp_path, begin=2e-4), default_valve())
+    assert BeginsLate(2e-4) in result.findings
+    assert any("begins at 200 µm" in sentence for sentence in remarks(result.findings))
+
+
+def test_a_table_that_ends_before_the_stroke_is_said_to_extrapolate(tmp_path: Path):
+    result = fit_static_force(table(tmp_path, end=1.0e-3), default_valve())
+    assert EndsEarly(1.0e-3, default_valve().parameters.stroke) in result.findings
+    assert any("ends at 1000 µm of 1230 µm stroke" in sentence for sentence in remarks(result.findings))
+
+
+def test_a_whole_table_needs_no_warning_but_on_the_start(tmp_path: Path):
+    assert [type(finding) for finding in fit_static_force(table(tmp_path), default_valve()).findings] == [StartOfMotion]
+
+
+def test_degree_two_leaves_the_cubic_term_out(tmp_path: Path):
+    found = fit_static_force(table(tmp_path), default_valve(), degree=2)
+    assert found.valve.parameters.attraction_polynomial[3] == 0.0
+    assert found.rmse > 5 * NOISE
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "0 0.1\n0.0005 6.1\n0.001 9.5\n0.0011 11\n0.0012 13\n0.00122 14\n",
+        "x;f\n0;0,1\n0,0005;6,1\n0,001;9,5\n0,0011;11\n0,0012;13\n0,00122;14\n",
+        "# stage 3\nforce,note,displacement\n0.1,-,0\n6.1,,0.0005\n9.5,,0.001\n11,,0.0011\n13,,0.0012\n14,,0.00122\n",
+    ],
+    ids=["blanks", "decimal commas", "named columns"],
+)
+def test_tables_as_people_export_them_are_read(tmp_path: Path, text: str):
+    path = tmp_path / "force.csv"
+    path.write_text(text)
+    found = fit_static_force(path, default_valve())
+    assert found.displacement.tolist() == [0, 0.0005, 0.001, 0.0011, 0.0012, 0.00122]
+    assert found.force.tolist() == [0.1, 6.1, 9.5, 11, 13, 14]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "is empty"),
+        ("displacement,force\n", "no row of numbers"),
+        ("displacement,weight\n0,1\n", "expected one named force.*, or other names and units with --map"),
+        ("displacement,force\n0,1\n0.001,abc\n", "line 3: force: found 'abc'"),
+        ("displacement,force\n0,1\n0.001,nan\n", "line 3: force: found 'nan'"),
+        ("displacement,force\n0,1\n0.001\n", "line 3: has 1 cells"),
+        ("displacement,force\n0,3\n0.26,6\n0.6,7\n1.0,11\n1.23,20\n", r"in mm, say so with --map \(unit: mm\)"),
+        ("displacement,force\n0,3\n0.001,6\n0.0012,7\n", "has 3 points at 3 displacements"),
+    ],
+)
+def test_unusable_tables_are_refused_by_name(tmp_path: Path, text: str, words: str):
+    path = tmp_path / "force.csv"
+    path.write_text(text)
+    with pytest.raises(TableError, match=words) as refusal:
+        fit_static_force(path, default_valve())
+    assert str(path) in str(refusal.value)
+
+
+LOAD_CELL = "# Stand;3\nZeit;Weg;Kraft\ns;mm;g\n" + "".join(
+    f"{row};{12.5 - 0.1 * row:g};{1000.0 + 100.0 * row:g}\n".replace(".", ",") for row in range(8)
+)
+"""From 12.5 mm downwards, in grams on a load cell with a tare of 1000 g."""
+LOAD_CELL_MAP = (
+    "displacement: {column: Weg, unit: mm, sign: -1, offset: 12.5}\n"
+    "force: {column: Kraft, unit: kgf, scale: 0.001, offset: -1.0}\n"
+)
+
+
+def mapped(folder: Path, text: str = LOAD_CELL, words: str = LOAD_CELL_MAP) -> tuple[Path, Path]:
+    """A table of a load cell and its map."""
+    path, own = folder / "load_cell.csv", folder / "load_cell.yaml"
+    path.write_text(text)
+    own.write_text(words)
+    return path, own
+
+
+def test_a_map_gives_columns_and_units(tmp_path: Path):
+    path, own = mapped(tmp_path)
+    found = fit_static_force(path, default_valve(), load_force_map(own))
+    np.testing.assert_allclose(found.displacement, 1e-4 * np.arange(8), atol=1e-15)
+    np.testing.assert_allclose(found.force, 0.1 * 9.80665 * np.arange(8), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("force: Kraft\n", "names no displacement; add displacement: {column: ..., unit: m}"),
+        (LOAD_CELL_MAP.replace("kgf", "bar"), "force.unit: found 'bar', expected one of N, mN, kN, kgf, lbf"),
+        (LOAD_CELL_MAP.replace("force", "forse"), "forse: unknown key; did you mean force?"),
+        (LOAD_CELL_MAP.replace("{column: Kraft", "{topic: /cell"), "a table has columns"),
+        ("- Weg\n", "expected displacement: and force:"),
+    ],
+)
+def test_a_wrong_map_of_a_table_is_refused(tmp_path: Path, words: str, expected: str):
+    _, own = mapped(tmp_path, words=words)
+    with pytest.raises(MapError) as refusal:
+        load_force_map(own)
+    assert str(refusal.value).startswith(str(own))
+    assert expected in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (LOAD_CELL.replace("Weg", "Strecke"), "has no column Weg; it has Zeit, Strecke, Kraft"),
+        (LOAD_CELL.replace("1200\n", "\n"), "line 6: force: holds no finite number"),
+    ],
+)
+def test_a_table_that_its_map_does_not_fit_is_refused(tmp_path: Path, text: str, expected: str):
+    path, own = mapped(tmp_path, text)
+    with pytest.raises(TableError, match=expected) as refusal:
+        fit_static_force(path, default_valve(), load_force_map(own))
+    assert str(refusal.value).startswith(str(path))
+
+
+@pytest.mark.parametrize(
+    "settings", [{"degree": 4}, {"degree": -1}, {"degree": 0, "constant": False}, {"voltage": 0.0}]
+)
+def test_settings_without_sense_are_refused(tmp_path: Path, settings: dict[str, float]):
+    with pytest.raises(ValveError, match="expected"):
+        fit_static_force(table(tmp_path), default_valve(), **settings)  # type: ignore[arg-type]

@@ -1,0 +1,101 @@
+"""A monitor beside a valve whose declared values are off within their tolerances, by the independent plant."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plants.declared import CAMPAIGN_VALVE
+
+from identification.live_strokes import LiveValve, feed
+from valve_sim.identification.estimation.intervals import Interval
+from valve_sim.identification.monitoring.fault_isolation import estimates
+from valve_sim.identification.monitoring.findings import StrokeState
+from valve_sim.identification.monitoring.memory import load_commissioning, save_commissioning
+from valve_sim.identification.monitoring.monitor import Monitor
+from valve_sim.identification.plants.commissioned import CommissionedPlant
+from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.model import Drive, Valve
+from valve_sim.traces import Trace
+
+TRUTH = {"pilot_damping": 1.3, "main_damping": 3.5, "spring_preload": 2.6, "stroke": 1.236e-3, "moving_mass": 0.1342}
+TOLERANCES = {"spring_preload": 0.076, "stroke": 4e-6, "moving_mass": 1.3e-4}
+
+
+def declared(tolerances):
+    values = {**CAMPAIGN_VALVE, "attraction_polynomial": list(CAMPAIGN_VALVE["attraction_polynomial"])}
+    return Valve.from_mapping({"valve": values, "tolerances": tolerances}, "the data sheet")
+
+
+@pytest.fixture(scope="module")
+def commissioned():
+    """A monitor that has seen 20 strokes, and one more of each."""
+    monitor, valve = Monitor(declared(TOLERANCES), refit=False), LiveValve(7, TRUTH, offset=200e-6)
+    reports = [report for _ in range(24) for report in feed(monitor, valve.stroke())]
+    return monitor, reports
+
+
+def test_commissioning_finds_the_valve_as_it_is(commissioned):
+    monitor, reports = commissioned
+    baseline = monitor.stroke_monitor.baseline
+    assert set(baseline.estimated) == set(TRUTH)
+    found = baseline.valve.declared()
+    for name, error in zip(baseline.estimated, np.sqrt(np.diag(baseline.covariance)), strict=True):
+        assert abs(found[name] - TRUTH[name]) < 4.0 * error
+    assert baseline.valve.tolerances.is_exact
+    watched = [report.rms / report.noise for report in reports if report.state is StrokeState.WATCHING]
+    assert len(watched) >= 3
+    assert np.mean(watched) == pytest.approx(1.0, abs=0.1)
+
+
+def test_what_commissioning_leaves_open_is_known_beside_a_fault(commissioned):
+    baseline = commissioned[0].stroke_monitor.baseline
+    times = np.arange(0.0, 0.03, 1e-4)
+    trace = Trace("a stroke", Drive.of([1e-3], [9.0]), times, np.zeros_like(times))
+    plant = CommissionedPlant(trace, baseline.commissioned, baseline.scatter)
+    errors = [nuisance for nuisance in plant.nuisances if nuisance.name.startswith("commissioning_error")]
+    assert len(errors) == len(baseline.estimated)
+    moved = np.array([plant.predict({error.name: error.sigma})[0] - plant.predict({})[0] for error in errors])
+    # The data have pinned them together: whatever moves within what is left moves the stroke by hardly more than noise.
+    assert 0.0 < np.max(np.abs(moved)) < 20e-6
+
+
+def test_what_a_valve_is_built_with_is_no_fault_of_a_commissioned_one(commissioned):
+    baseline = commissioned[0].stroke_monitor.baseline
+    times = np.arange(0.0, 0.03, 1e-4)
+    trace = Trace("a stroke", Drive.of([1e-3], [9.0]), times, np.zeros_like(times))
+    any_valve = set(ValvePlant([trace], baseline.valve).effects)
+    in_service = set(CommissionedPlant(trace, baseline.commissioned, baseline.scatter).effects)
+    assert any_valve - in_service == {"motional_emf"}
+    assert in_service - any_valve == {"pilot_damping", "main_damping"}
+
+
+def test_a_declared_effect_of_another_size_bears_its_own_name_and_not_that_of_a_value_which_is_the_same(commissioned):
+    found = commissioned[0].stroke_monitor.baseline.commissioned
+    worn = replace(found.valve, effects={"drive_gain": {"gain": 0.95}, "motional_emf": {"share": 1.0}})
+    trace = Trace("at rest", Drive.of([1e-3], [9.0]), np.arange(0.0, 0.01, 1e-4), np.zeros(100))
+    effects = CommissionedPlant(trace, found._replace(valve=worn), 50e-6).effects
+    assert effects["drive_gain"].is_on
+    assert effects["drive_gain"].parameters[0].off == 0.95
+    assert "valve.reference_voltage" not in effects
+    assert "motional_emf" not in effects
+
+
+def test_a_declared_value_is_reported_by_the_name_that_a_fit_frees():
+    trace = Trace("at rest", Drive.of([1e-3], [9.0]), np.arange(0.0, 0.01, 1e-4), np.zeros(100))
+    plant = ValvePlant([trace], declared({**TOLERANCES, "spring_rate": 12.8}))
+    off, on = Interval(430.0, 3.0, 424.0, 436.0), Interval(500.0, 3.0, 494.0, 506.0)
+    force = Interval(0.2, 0.01, 0.18, 0.22)
+    found = estimates(
+        ("coulomb_friction", "valve.spring_rate", "valve.moving_mass"), plant,
+        {"coulomb_friction.force": force, "spring_rate": on, "main_mass": off, "main_damping": on},
+    )  # fmt: skip
+    assert found == {"coulomb_friction.force": force, "valve.spring_rate": on, "valve.main_mass": off}
+
+
+def test_a_commissioning_is_kept_with_its_declared_values(commissioned, tmp_path):
+    kept, valve = commissioned[0].stroke_monitor.commissioning, declared(TOLERANCES)
+    save_commissioning(tmp_path / "kept.json", kept, valve)
+    again = load_commissioning(tmp_path / "kept.json", valve)
+    assert again.baseline.valve == kept.baseline.valve
+    assert again.baseline.estimated == kept.baseline.estimated
+    np.testing.assert_array_equal(again.baseline.covariance, kept.baseline.covariance)

@@ -1,0 +1,335 @@
+"""A plant of one's own with the errors of its recordings: a lagging heater, written out here, and its thermometer."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+
+from valve_sim.identification.diagnosis.run import Diagnosis, diagnose_plant
+from valve_sim.identification.estimation.errors import ERRORS
+from valve_sim.identification.estimation.structured_noise import seen_by, structured_noise
+from valve_sim.identification.plants.check import FUNCTIONS, MEMBERS, PlantError, check_plant
+from valve_sim.identification.plants.protocol import (
+    MACHINE_ERRORS,
+    SENSOR_ERRORS,
+    Array,
+    Channel,
+    Contacts,
+    EffectChoice,
+    Nuisance,
+    Sensor,
+)
+from valve_sim.identification.plants.variation import group_factors, group_variations, stroke_of
+from valve_sim.model import Parameter
+
+INTERVAL, CYCLES, CYCLE = 0.02, 8, 400
+NOISE, LOW, SPAN = 0.02, -5.0, 65.0
+LEVELS = (20.0, 32.0, 14.0, 38.0, 8.0, 26.0, 36.0, 6.0)
+"""W, of the cycles: four seconds on, four off, of which the last are rest."""
+SENSOR = Sensor(SPAN, low=LOW, shares={"zero": 5e-3, "scale": 0.02, "bend": 2e-3})
+PARAMETERS = {
+    "gain": Parameter("gain", "K/W", "K at rest for each watt", 0.0, 100.0, 1.0),
+    "time_constant": Parameter("time_constant", "s", "of the warming", 1e-2, 100.0, 0.5),
+    "radiation.coefficient": Parameter("coefficient", "1/K", "loss that grows with T²", 0.0, 1.0, 1e-3, off=0.0),
+    "dead_band.power": Parameter("power", "W", "that warms nothing", 0.0, 20.0, 0.5, off=0.0),
+}
+
+
+class Lag:
+    """T' = (gain · max(power − dead band, 0) − T − radiation · T²)/time constant, from 0 at the beginning.
+
+    Args:
+        data: what the thermometer showed. sensor: of it; None: it does not err. varies: whether the gain does by cycle.
+    """
+
+    base = ("gain", "time_constant")
+    nuisances: Sequence[Nuisance] = ()
+    timing_errors: Sequence[Nuisance] = ()
+    force_maps: Sequence[Any] = ()
+    experiments: Sequence[Any] = ()
+    effects: ClassVar = {
+        name: EffectChoice(name, (PARAMETERS[free],))
+        for name, free in (("radiation", "radiation.coefficient"), ("dead_band", "dead_band.power"))
+    }
+
+    def __init__(self, data: Array, sensor: Sensor | None = SENSOR, *, varies: bool = True) -> None:
+        self.times, self.power, self.quiet = cycles()
+        group = np.arange(CYCLES * CYCLE) // CYCLE
+        self.channels = (Channel("made up: T", "temperature", self.times, data, self.quiet, group, "K", drifts=True),)
+        self._sensors = {} if sensor is None else {0: sensor}
+        self.varying = group_variations(self.channels, {"gain": 0.05}) if varies else ()
+
+    def sensors(self, values: Mapping[str, float]) -> Mapping[int, Sensor]:
+        return self._sensors
+
+    def parameter(self, name: str) -> Parameter:
+        return PARAMETERS[name]
+
+    def declared(self, name: str) -> float:
+        parameter = PARAMETERS[name]
+        return parameter.prior_scale if parameter.off is None else parameter.off
+
+    def predict(self, values: Mapping[str, float]) -> list[Array]:
+        value = {name: values.get(name, self.declared(name)) for name in PARAMETERS}
+        gains = value["gain"] * group_factors(self.channels[0], "gain", values)
+        shown, warm, step = np.empty(len(self.times)), 0.0, INTERVAL
+        heats = np.maximum(self.power - value["dead_band.power"], 0.0) * gains
+        for i, heat in enumerate(heats.tolist()):
+            shown[i] = warm
+            warm += step * (heat - warm - value["radiation.coefficient"] * warm**2) / value["time_constant"]
+        return [shown]
+
+
+def cycles() -> tuple[Array, Array, np.ndarray]:
+    """Times, powers, and where nothing has been warm for some time."""
+    place = np.arange(CYCLES * CYCLE) % CYCLE
+    power = np.where((place >= 100) & (place < 250), np.repeat(LEVELS, CYCLE), 0.0)
+    return np.arange(CYCLES * CYCLE) * INTERVAL, power, place < 90
+
+
+@dataclass(frozen=True)
+class Laboratory:
+    """What a laboratory adds: K of zero and bend, a share of gain, K a cycle of drift, and of the gain's variation."""
+
+    zero: float = 0.0
+    gain: float = 0.0
+    bend: float = 0.0
+    drift: float = 0.0
+    variation: float = 0.0
+
+
+def warmed(air: Array) -> Array:
+    """The temperature of a sensor that follows that of the air by a time constant of 2 s."""
+    found = np.zeros_like(air)
+    for i in range(1, len(air)):
+        found[i] = found[i - 1] + INTERVAL / 2.0 * (air[i] - found[i - 1])
+    return found
+
+
+def recorded(laboratory: Laboratory, seed: int, *, radiation: float = 0.0) -> tuple[Array, Array]:
+    """What is shown, exactly solved over each sample, and (c,) by how much the gain differed in each cycle."""
+    random = np.random.default_rng(seed)
+    times, power, _ = cycles()
+    deviations = laboratory.variation * random.standard_normal(CYCLES)
+    true, warm, fine = np.empty(len(times)), 0.0, 20
+    for i, heat in enumerate((power * 1.5 * (1.0 + np.repeat(deviations, CYCLE))).tolist()):
+        true[i] = warm
+        for _ in range(fine):
+            middle = warm + 0.5 * INTERVAL / fine * (heat - warm - radiation * warm**2) / 0.4
+            warm += INTERVAL / fine * (heat - middle - radiation * middle**2) / 0.4
+    share = (true - LOW) / SPAN
+    walk = warmed(np.cumsum(random.standard_normal(len(times))) * laboratory.drift / np.sqrt(CYCLE))
+    shown = true * (1.0 + laboratory.gain) + 4.0 * laboratory.bend * share * (1.0 - share) + laboratory.zero + walk
+    return shown + NOISE * random.standard_normal(len(times)), deviations
+
+
+def diagnosed(laboratory: Laboratory, seed: int, *, radiation: float = 0.0) -> tuple[Diagnosis, Array]:
+    data, deviations = recorded(laboratory, seed, radiation=radiation)
+    return diagnose_plant(Lag(data), None), deviations
+
+
+EVERYTHING = Laboratory(zero=0.4, gain=0.01, bend=0.3, drift=0.05, variation=0.03)
+LABORATORIES = [
+    Laboratory(),
+    Laboratory(zero=0.4),
+    Laboratory(gain=0.02),
+    Laboratory(bend=0.3),
+    Laboratory(drift=0.05),
+    Laboratory(variation=0.03),
+    EVERYTHING,
+]
+NAMES = ["nothing", "zero", "gain", "bend", "drift", "variation", "everything"]
+
+
+@pytest.mark.parametrize("laboratory", LABORATORIES, ids=NAMES)
+@pytest.mark.parametrize("seed", [1, 2])
+def test_errors_of_a_plant_of_ones_own_are_none_with_their_sizes_in_the_intervals(
+    laboratory: Laboratory, seed: int
+) -> None:
+    diagnosis, deviations = diagnosed(laboratory, seed)
+    assert diagnosis.verdict.kind == "none"
+    assert diagnosis.after.intervals["time_constant"].value == pytest.approx(0.41, abs=2e-3)
+    (errors,) = diagnosis.recording.values()
+    found = {own.error: own for own in errors}
+    assert list(found) == ["zero", "drift", "scale", "bend", "stroke_variation"]  # and no mains below 25 Hz
+    size = np.sqrt(np.mean(np.square(deviations)))
+    true = {"zero": laboratory.zero, "scale": laboratory.gain, "bend": laboratory.bend, "stroke_variation": size}
+    for name, one in true.items():
+        own = found[name]
+        assert own.low <= one <= own.high or (one == 0.0 and not own.is_likely)
+        assert own.is_likely or not one or name == "scale"  # the machine's gain is not known, and may be all of it
+    assert found["drift"].size == pytest.approx(laboratory.drift, rel=0.5, abs=0.01)
+
+
+@pytest.mark.parametrize("laboratory", LABORATORIES, ids=NAMES)
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
+def test_what_such_a_plant_lacks_is_named_beside_its_errors(laboratory: Laboratory, seed: int) -> None:
+    diagnosis, _ = diagnosed(laboratory, seed, radiation=1e-3)
+    assert (diagnosis.verdict.kind, diagnosis.verdict.effects) == ("effects", ("radiation",))
+    found = diagnosis.after.intervals["radiation.coefficient"]
+    assert found.low <= 1e-3 <= found.high
+
+
+@pytest.mark.parametrize("radiation", [0.0, 1e-3])
+def test_without_them_the_plant_is_said_to_lack_something_else(radiation: float) -> None:
+    data, _ = recorded(EVERYTHING, 1, radiation=radiation)
+    assert diagnose_plant(Lag(data, None, varies=False), None).verdict.kind == "unknown"
+
+
+def test_a_plant_that_brings_none_is_the_plant_that_has_no_such_members() -> None:
+    data, _ = recorded(Laboratory(), 1, radiation=1e-3)
+    bringing_none = Lag(data, None, varies=False)
+    bare = SimpleNamespace(**{name: getattr(bringing_none, name) for name in (*MEMBERS, *FUNCTIONS)})
+    one, other = diagnose_plant(bringing_none, None), diagnose_plant(bare, None)
+    assert one.recording == other.recording == {}
+    assert one.after.fit.values == other.after.fit.values
+    assert (one.verdict, one.inclusion, one.work) == (other.verdict, other.inclusion, other.work)
+
+
+class KnownGain(Lag):
+    """Where the machine's gain is known, that of the thermometer is not free to be taken for it."""
+
+    base = ("time_constant",)
+
+    def declared(self, name: str) -> float:
+        return 1.5 if name == "gain" else super().declared(name)
+
+
+@pytest.mark.parametrize("gain", [0.015, -0.015])
+def test_a_gain_is_reported_as_a_share_of_what_is_shown_with_its_sign(gain: float) -> None:
+    data, _ = recorded(Laboratory(gain=gain), 3)
+    (errors,) = diagnose_plant(KnownGain(data, varies=False), None).recording.values()
+    (own,) = [one for one in errors if one.error == "scale"]
+    assert own.unit == "–"
+    assert own.size == pytest.approx(gain, abs=5e-4)
+    assert own.probability > 0.99
+
+
+def test_names_of_errors_are_those_of_the_errors_there_are() -> None:
+    assert set(SENSOR_ERRORS) == {own.name for own in ERRORS if own.columns is not None}
+    assert set(MACHINE_ERRORS) == {own.name for own in ERRORS if own.columns is None and not own.is_known}
+
+
+def test_knots_are_where_groups_begin_and_half_way() -> None:
+    (channel,) = Lag(np.zeros(CYCLES * CYCLE)).channels
+    seen = seen_by(Sensor(SPAN, low=LOW), channel, channel.data, ())
+    assert (seen.span, seen.low) == (SPAN, LOW)
+    np.testing.assert_allclose(seen.knots[:4], [0.0, 4.0, 8.0, 12.0])
+    assert seen.knots[-1] == channel.times[-1]
+
+
+def test_what_varies_has_a_factor_in_each_group_and_one_size() -> None:
+    first, second = Lag(np.zeros(CYCLES * CYCLE)).channels * 2
+    other = replace(second, recording=1)
+    found = group_variations([first, other], {"gain": 0.05})
+    assert len(found) == 2 * CYCLES
+    assert {own.group for own in found} == {"gain[0]"}
+    assert [own.channels for own in found] == [(0,)] * CYCLES + [(1,)] * CYCLES
+    assert found[0].during == (0.0, 8.0)
+    assert found[CYCLES - 1].during == (56.0, np.inf)
+    assert stroke_of(found[CYCLES + 3].name) == 3
+    factors = group_factors(other, "gain", {found[CYCLES + 3].name: 0.1, found[2].name: 0.5})
+    assert sorted(set(factors.tolist())) == [1.0, 1.1]
+    assert np.all((factors > 1.0) == (other.group == 3))
+    assert group_variations([replace(first, group=np.zeros_like(first.group))], {"gain": 0.05}) == ()
+
+
+def test_drift_is_read_at_rest_only_where_the_model_is_right_there_and_most_strokes_rest() -> None:
+    plant = Lag(np.zeros(CYCLES * CYCLE))
+    found = structured_noise(plant, {}, {})
+    assert found is not None
+    assert all(own.shows_rest for own in found.groups if own.error.at_rest)
+    elsewhere = structured_noise(Lag(plant.channels[0].data, SENSOR._replace(is_true_at_rest=False)), {}, {})
+    assert elsewhere is not None
+    assert not any(own.is_read for own in elsewhere.with_read(elsewhere.sizes).groups)
+    (channel,) = plant.channels
+    for most in (0, CYCLES // 2):
+        plant.channels = (replace(channel, quiet=channel.quiet & (channel.group < most)),)
+        rarely = structured_noise(plant, {}, {})
+        assert rarely is not None
+        assert not any(own.is_read for own in rarely.with_read(rarely.sizes).groups)
+
+
+def test_strokes_whose_errors_are_alike_share_them_whether_they_rest_or_not() -> None:
+    plant = two_alike()
+    first, second = plant.channels
+    plant.channels = (first, replace(second, quiet=np.zeros_like(second.quiet)))
+    found = structured_noise(plant, {}, {})
+    assert found is not None
+    assert [own.error.name for own in found.groups] == ["zero", "drift", "scale", "bend", "stroke_variation"]
+    assert [own.key for own in found.groups] == [0, 0, 0, 0, "gain[0]"]
+
+
+def spoilt(**members: Any) -> Lag:
+    plant = Lag(np.zeros(CYCLES * CYCLE))
+    for name, value in members.items():
+        setattr(plant, name, value)
+    return plant
+
+
+def with_sensor(**changes: Any) -> Lag:
+    return spoilt(_sensors={0: SENSOR._replace(**changes)})
+
+
+def two_alike(**changes: Any) -> Lag:
+    plant = Lag(np.zeros(CYCLES * CYCLE))
+    (channel,) = plant.channels
+    plant.channels = (channel, replace(channel, recording=1))
+    plant._sensors = {0: SENSOR, 1: SENSOR._replace(alike=0, **changes)}
+    plant.predict = lambda values: [channel.data, channel.data]
+    return plant
+
+
+VARIED = group_variations(Lag(np.zeros(CYCLES * CYCLE)).channels, {"gain": 0.05})[0]
+
+
+@pytest.mark.parametrize(
+    ("plant", "words"),
+    [
+        (spoilt(_sensors=[SENSOR]), "Lag.sensors({}): found list, expected a mapping of channels' indices to Sensor"),
+        (spoilt(_sensors={1: SENSOR}), "Lag.sensors({}): found the channel 1, expected 0 to 0"),
+        (spoilt(_sensors={0: SPAN}), "Lag.sensors({})[0]: found float, expected a Sensor"),
+        (spoilt(_sensors=None), "Lag.sensors({}): found NoneType"),
+        (spoilt(sensors=lambda values: values["gian"]), "Lag.sensors({}) raised KeyError: 'gian'"),
+        (with_sensor(span=0.0), "Lag.sensors({})[0].span: found 0.0, expected a number above 0"),
+        (with_sensor(low=np.nan), "Lag.sensors({})[0].low: found nan, expected a number"),
+        (with_sensor(knots=np.array([1.0, np.inf])), "Lag.sensors({})[0].knots: found inf at index 1"),
+        (with_sensor(knots=np.array([2.0, 1.0])), "Lag.sensors({})[0].knots: found 1 s after 2 s"),
+        (with_sensor(knots=np.zeros((2, 2))), "Lag.sensors({})[0].knots: found shape (2, 2)"),
+        (with_sensor(contacts=()), "Lag.sensors({})[0].contacts: found tuple, expected Contacts"),
+        (
+            with_sensor(contacts=Contacts(np.zeros(2), np.zeros(1), np.zeros(2, dtype=np.int64))),
+            "Lag.sensors({})[0].contacts: found 2, 1, 2 values, expected as many of each",
+        ),
+        (with_sensor(shares={"gain": 0.1}), "Lag.sensors({})[0].shares: found 'gain', expected of zero, drift, hum"),
+        (with_sensor(shares={"bend": -1.0}), "Lag.sensors({})[0].shares['bend']: found -1.0, expected a number from 0"),
+        (with_sensor(shares=0.1), "Lag.sensors({})[0].shares: found 0.1, expected a mapping"),
+        (with_sensor(alike=3), "Lag.sensors({})[0].alike: found 3, expected the channel of a sensor"),
+        (two_alike(span=2.0), "Lag.sensors({})[1].alike: found a sensor of another span or other shares than that of"),
+        (spoilt(varying=None), "Lag.varying: found None, expected a tuple or list, or ()"),
+        (spoilt(varying=("gain",)), "Lag.varying[0]: found str, expected a Nuisance"),
+        (spoilt(varying=(VARIED._replace(error="drift"),)), "found error 'drift', expected one of supply, stroke_"),
+        (spoilt(varying=(VARIED._replace(group=""),)), "found no group; parts of one group share a size"),
+        (spoilt(varying=(VARIED._replace(channels=()),)), "found no channels; those of its recording are needed"),
+        (spoilt(varying=(VARIED._replace(channels=(2,)),)), "found channel 2, expected 0 to 0"),
+        (spoilt(varying=(VARIED._replace(name="gain[0]"),)), "Lag.varying[0] (gain[0]): expected the name stroke_var"),
+        (spoilt(varying=(VARIED, VARIED)), "found its name twice"),
+    ],
+)  # fmt: skip
+def test_a_slip_in_them_is_said_in_one_line(plant: Lag, words: str) -> None:
+    with pytest.raises(PlantError, match=re.escape(words)) as caught:
+        check_plant(plant)
+    assert "\n" not in str(caught.value)
+
+
+def test_sensors_and_what_varies_come_together() -> None:
+    plant = spoilt()
+    del plant.varying
+    with pytest.raises(PlantError, match="Lag: has sensors, but no varying; a plant whose recordings err has both"):
+        check_plant(plant)

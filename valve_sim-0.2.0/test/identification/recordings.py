@@ -1,0 +1,87 @@
+"""Recordings by the independent plant, as traces."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
+from plants.recording import Profile, Recorder, record, single_opening, train_profile
+
+from valve_sim.files.parameter_files import default_valve
+from valve_sim.identification.diagnosis.run import Diagnosis, diagnose_plant
+from valve_sim.identification.plants.protocol import Channel, EffectChoice, ForceMap
+from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.model import Drive, Valve
+from valve_sim.traces import Trace
+
+FINE = Recorder(quantisation=0.1e-6)
+COARSER = Recorder(quantisation=0.1e-6, sample_rate=5e3)
+TRUTH = {"pilot_damping": 1.4, "main_damping": 3.2}
+"""N·s/m, neither of them declared."""
+
+
+class Short(ValvePlant):
+    """A valve of whose catalogue few effects are tried, all declared values and no curves."""
+
+    force_maps: Sequence[ForceMap] = ()  # type: ignore[assignment]
+
+    def __init__(self, traces: Sequence[Trace], valve: Valve, few: Sequence[str]) -> None:
+        super().__init__(traces, valve)
+        self._few = few
+
+    @functools.cached_property
+    def effects(self) -> Mapping[str, EffectChoice]:  # type: ignore[override]
+        every = super().effects
+        return {name: every[name] for name in every if name in self._few or every[name].is_declared_value}
+
+
+def recorded(
+    recorder: Recorder = FINE,
+    profile: Profile | None = None,
+    seed: int = 1,
+    effects: dict[str, dict[str, float]] | None = None,
+    **parameters: float,
+) -> Trace:
+    """What a plant of these parameters shows, 8 strokes unless told."""
+    plant = DeclaredPlant(effects or {}, {**CAMPAIGN_VALVE, **TRUTH, **parameters})
+    made = record(plant, train_profile() if profile is None else profile, recorder, seed)
+    drive = Drive(made.command_times, made.volts)
+    return Trace(f"seed {seed}", drive, made.times, made.pilot_position, made.main_position)
+
+
+FEW = ("coulomb_friction", "stiction", "squeeze_film", "constant_force", "coil_lag", "stroke_offset")
+"""A catalogue that is short, and has friction and what looks like it."""
+
+
+@functools.cache
+def friction_found() -> Diagnosis:
+    """Friction of 0.1 N that no file declares, found in one recording and held against another; made once a process."""
+    valve, friction = default_valve().exact(), {"coulomb_friction": {"force": 0.1}}
+    train, other = (Short([recorded(COARSER, seed=seed, effects=friction)], valve, FEW) for seed in (1, 2))
+    return diagnose_plant(train, other)
+
+
+def one_opening(seed: int = 1, **parameters: float) -> Trace:
+    """One opening at 9 V, never released."""
+    return recorded(profile=single_opening(), seed=seed, **parameters)
+
+
+def still(values: np.ndarray, kind: str = "position") -> Channel:
+    """A channel of a machine that never moves."""
+    count = len(values)
+    return Channel("test", kind, np.arange(count) / 20e3, values, np.ones(count, bool), np.zeros(count, np.int64))
+
+
+def shortened(trace: Trace, stop: float) -> Trace:
+    """The part before `stop`, s."""
+    kept, commands = trace.times < stop, trace.drive.times < stop
+    return replace(
+        trace,
+        drive=Drive(trace.drive.times[commands], trace.drive.volts[commands]),
+        times=trace.times[kept],
+        pilot_position=trace.pilot_position[kept],
+        main_position=None,
+    )

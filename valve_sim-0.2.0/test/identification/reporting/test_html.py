@@ -1,0 +1,340 @@
+"""The page that people look at: what it says, that it draws in a browser, and that it asks no network."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+import shlex
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from identification.browser import CHROMIUM, SETTINGS, Browser
+from identification.recordings import friction_found
+from valve_sim.files.parameter_files import load_valve
+from valve_sim.identification.diagnosis.experiment_design import Recommendation
+from valve_sim.identification.diagnosis.run import Diagnosis
+from valve_sim.identification.plants.protocol import Experiment
+from valve_sim.identification.reporting import html as report
+from valve_sim.identification.reporting.curves import DRAWN_POINTS, StrokeCurves, keep_extremes, strokes_of
+from valve_sim.identification.reporting.files import write_diagnosis
+from valve_sim.identification.reporting.recording_profile import STROKE_LEVELS
+from valve_sim.identification.reporting.summary import summarise
+from valve_sim.identification.reporting.wording import headline
+from valve_sim.invocation import invocation
+from valve_sim.model import CATALOGUE, ValveError
+from valve_sim.traces.synthetic import read_profile
+
+HOSTILE = "</script><script>throw 1</script><img src=http://127.0.0.1:9/x>"
+LARGEST_PAGE = 8_000_000
+LARGEST_SCREENSHOT = 300_000
+needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed to open the report in")
+
+
+class Visit(NamedTuple):
+    """What a browser made of a page: its tree, the console's lines, and what the page asked of the network."""
+
+    tree: str
+    console: list[str]
+    requests: list[str]
+
+
+def visit(page: Path, folder: Path) -> Visit:
+    log = folder / "net.json"
+    ran = browse(page, folder, "--enable-logging=stderr", f"--log-net-log={log}", "--dump-dom")
+    events = json.loads(log.read_text())["events"]
+    asked = [event["params"] for event in events if "initiator" in event.get("params", {})]
+    # The browser's own requests (updates, time) have no origin; a page's have one, "null" for a file.
+    requests = [params["url"] for params in asked if params["initiator"] != "not an origin"]
+    return Visit(ran.stdout, re.findall(r"CONSOLE.*", ran.stderr), [url for url in requests if is_remote(url)])
+
+
+def is_remote(url: str) -> bool:
+    return not url.startswith(("file:", "data:"))
+
+
+def browse(page: Path, folder: Path, *settings: str) -> subprocess.CompletedProcess[str]:
+    command = [str(CHROMIUM), *SETTINGS, f"--user-data-dir={folder / 'profile'}", *settings, page.resolve().as_uri()]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=True)
+
+
+@pytest.fixture(scope="module")
+def diagnosis() -> Diagnosis:
+    return friction_found()
+
+
+@pytest.fixture
+def page(diagnosis: Diagnosis, tmp_path: Path) -> Path:
+    path = tmp_path / "report.html"
+    report.write_report(diagnosis, path, provenance="valve-sim diagnose strokes.mcap")
+    return path
+
+
+def test_the_page_says_what_was_found(diagnosis: Diagnosis, page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert f"<h1>{headline(diagnosis)}</h1>" in text
+    assert summarise(diagnosis) in text
+    for words in (CATALOGUE["coulomb_friction"].on_a_real_valve, CATALOGUE["coulomb_friction"].what_to_do):
+        assert words in text
+    assert "coulomb_friction.force" in text
+    assert all(" + ".join(candidate.effects) in text for candidate in diagnosis.candidates)
+    values = [part for cell in re.findall(r'data-label="values">([^<]*)<', text) for part in cell.split("; ") if part]
+    assert values
+    assert [part for part in values if not re.match(r"[a-z0-9 ]+ (−?[0-9]|∞)", part)] == []
+    assert all(name in text for name in diagnosis.sources)
+    assert "valve-sim diagnose strokes.mcap" in text
+
+
+def test_the_page_says_why_no_force_is_drawn(diagnosis: Diagnosis, tmp_path: Path) -> None:
+    path, nothing = tmp_path / "report.html", "The residual is only noise"
+    assert not diagnosis.before.adequacy.is_white
+    report.write_report(replace(diagnosis, maps=()), path)
+    assert "explains the data nearly as well as the named effects" in path.read_text(encoding="utf-8")
+    assert nothing not in path.read_text(encoding="utf-8")
+    report.write_report(replace(diagnosis, maps=(), before=diagnosis.after), path)
+    assert nothing in path.read_text(encoding="utf-8")
+
+
+def test_root_mean_squares_of_strokes_add_up_to_those_of_the_diagnosis(diagnosis: Diagnosis) -> None:
+    strokes = [stroke for stroke in strokes_of(diagnosis) if not stroke.is_held_out]
+    squares = sum(len(stroke.time) * stroke.root_mean_squares[0] ** 2 for stroke in strokes)
+    count = sum(len(stroke.time) for stroke in strokes)
+    assert (squares / count) ** 0.5 == pytest.approx(1e6 * diagnosis.before.train_rmse, rel=1e-9)
+
+
+def test_held_out_strokes_are_shown_and_named_so(diagnosis: Diagnosis) -> None:
+    held = [stroke for stroke in strokes_of(diagnosis) if stroke.is_held_out]
+    assert len(held) == 8
+    assert all(stroke.title.endswith("held out") for stroke in held)
+
+
+def test_thinning_keeps_the_extremes_and_the_ends() -> None:
+    values = np.random.default_rng(1).normal(size=20000)
+    values[12345] = 40.0
+    kept = keep_extremes((values, -values), 100)
+    assert len(kept) <= 100
+    assert {0, 12345, int(np.argmin(values)), 19999} <= set(kept.tolist())
+
+
+def test_short_strokes_are_drawn_whole() -> None:
+    assert keep_extremes((np.zeros(DRAWN_POINTS),), DRAWN_POINTS).tolist() == list(range(DRAWN_POINTS))
+
+
+def with_strokes(monkeypatch: pytest.MonkeyPatch, strokes: list[StrokeCurves]) -> None:
+    monkeypatch.setattr(report, "strokes_of", lambda _: strokes)
+
+
+def test_a_hundred_strokes_fit_into_eight_megabytes(
+    diagnosis: Diagnosis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with_strokes(monkeypatch, (strokes_of(diagnosis) * 7)[:100])
+    path = tmp_path / "report.html"
+    report.write_report(diagnosis, path)
+    assert path.read_text(encoding="utf-8").count("data-stroke=") == 100
+    assert path.stat().st_size <= LARGEST_PAGE
+
+
+def hostile(diagnosis: Diagnosis, path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    with_strokes(monkeypatch, [replace(strokes_of(diagnosis)[0], title=HOSTILE, quantity=HOSTILE)])
+    advised = Recommendation(
+        Experiment(HOSTILE, lambda machine: diagnosis.plant, ((0.0, 9.0), (4e-3, 0.0))),
+        {("coulomb_friction", "stiction"): 7.0},
+    )
+    unsure = replace(diagnosis.verdict, confusable_with={"coulomb_friction": ("stiction",)})
+    asked = replace(diagnosis, sources=(HOSTILE,), verdict=unsure, recommendation=advised)
+    report.write_report(asked, path, provenance=HOSTILE)
+    return path.read_text(encoding="utf-8")
+
+
+def test_names_from_bags_are_escaped(diagnosis: Diagnosis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = hostile(diagnosis, tmp_path / "report.html", monkeypatch)
+    assert HOSTILE not in text
+    assert text.count("<script") == 2
+    assert "<img" not in text
+
+
+def test_a_page_that_cannot_be_written_is_one_clear_error(diagnosis: Diagnosis, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ValveError, match="cannot be written"):
+        report.write_report(diagnosis, tmp_path / "file" / "report.html")
+
+
+def test_all_files_of_a_diagnosis_are_written_and_nothing_else(diagnosis: Diagnosis, tmp_path: Path) -> None:
+    certain = replace(diagnosis, verdict=replace(diagnosis.verdict, confusable_with={}))
+    written = write_diagnosis(certain, tmp_path / "results", "by a test")
+    assert sorted(path.name for path in written) == ["corrected.yaml", "report.html", "report.json"]
+    assert sorted((tmp_path / "results").iterdir()) == sorted(written)
+    assert json.loads(written[0].read_text())["verdict"]["effects"] == ["coulomb_friction"]
+    assert load_valve(tmp_path / "results" / "corrected.yaml") == diagnosis.valve
+
+
+def test_a_picture_is_drawn_where_one_is_asked_for(diagnosis: Diagnosis, tmp_path: Path) -> None:
+    picture = tmp_path / "strokes.png"
+    written = write_diagnosis(diagnosis, tmp_path / "results", "by a test", picture)
+    assert written[-1] == picture
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_next_recording_is_a_profile_in_the_folder_while_there_is_something_to_tell_apart(
+    diagnosis: Diagnosis, tmp_path: Path
+) -> None:
+    unsure = replace(diagnosis.verdict, confusable_with={"coulomb_friction": ("stiction",)})
+    doubtful = write_diagnosis(replace(diagnosis, verdict=unsure, recommendation=None), tmp_path, "by a test")
+    assert doubtful[-1].name == "record_next.yaml"
+    assert len(read_profile(doubtful[-1]).times) == 2 * len(STROKE_LEVELS)
+    assert json.loads(doubtful[0].read_text())["record_next_gain"] is None
+    page, header = doubtful[1].read_text(), doubtful[-1].read_text()
+    for program in ("valve-sim simulate --profile ", "command_profile --ros-args -p profile:="):
+        name, options = program.split(maxsplit=1)
+        typed = f"{invocation(name)} {options}{shlex.quote(str(doubtful[-1]))}"
+        assert typed + " " in header, "works where the diagnosis was started, with ros2 and without"
+        assert typed + " " in html.unescape(page)
+    duration = re.search(r"--duration ([\d.]+)", page)
+    assert duration is not None
+    assert f"--duration {duration[1]} " in header
+    assert float(duration[1]) > float(read_profile(doubtful[-1]).times[-1])
+    certain = replace(diagnosis.verdict, confusable_with={})
+    write_diagnosis(replace(diagnosis, verdict=certain), tmp_path, "by a test")
+    assert not doubtful[-1].exists()
+
+
+class OtherMachine:
+    """A plant that is no valve."""
+
+    def __init__(self, plant: Any) -> None:
+        self._plant = plant
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._plant, name)
+
+
+def test_another_machine_has_no_corrected_valve(diagnosis: Diagnosis, tmp_path: Path) -> None:
+    written = write_diagnosis(replace(diagnosis, plant=OtherMachine(diagnosis.plant)), tmp_path, "by a test")
+    assert sorted(path.name for path in written) == ["report.html", "report.json"]
+
+
+@needs_chromium
+def test_the_page_draws_in_a_browser_without_errors_or_requests(
+    diagnosis: Diagnosis, page: Path, tmp_path: Path
+) -> None:
+    seen = visit(page, tmp_path)
+    plots = report.SHOWN_STROKES + len(diagnosis.maps)
+    assert f'data-drawn="{plots}"' in seen.tree
+    curves = [int(count) for count in re.findall(r'data-points="(\d+)"', seen.tree)]
+    assert len(curves) == 5 * report.SHOWN_STROKES + len(diagnosis.maps)
+    assert min(curves) > 50
+    drawings = re.findall(r"<svg.*?</svg>", seen.tree, re.DOTALL)
+    numbers = [axis.count('class="tick"') for drawing in drawings for axis in drawing.split('class="frame"')[:-1]]
+    assert min(numbers) >= 2, "one number is no scale"
+    assert "NaN" not in seen.tree
+    assert seen.console == []
+    assert seen.requests == []
+
+
+@needs_chromium
+def test_hostile_names_do_nothing_in_a_browser(
+    diagnosis: Diagnosis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hostile(diagnosis, tmp_path / "report.html", monkeypatch)
+    seen = visit(tmp_path / "report.html", tmp_path)
+    assert f'data-drawn="{1 + len(diagnosis.maps)}"' in seen.tree
+    assert (seen.console, seen.requests) == ([], [])
+
+
+@needs_chromium
+def test_the_browser_would_have_told_of_errors_and_requests(tmp_path: Path) -> None:
+    (tmp_path / "bad.html").write_text("<!doctype html><img src='http://127.0.0.1:9/x.png'><script>missing()</script>")
+    seen = visit(tmp_path / "bad.html", tmp_path)
+    assert any("missing is not defined" in line for line in seen.console)
+    assert "http://127.0.0.1:9/x.png" in seen.requests
+
+
+@needs_chromium
+def test_the_screenshot_of_the_readme(page: Path, tmp_path: Path) -> None:
+    """As `docs/images/report.png`, which is of `valve-sim diagnose bags/friction`."""
+    picture = tmp_path / "report.png"
+    browse(page, tmp_path, "--window-size=1150,1480", f"--screenshot={picture}")
+    content = picture.read_bytes()
+    assert content.startswith(b"\x89PNG")
+    assert 50_000 < len(content) <= LARGEST_SCREENSHOT
+
+
+@pytest.fixture
+def doubtful(diagnosis: Diagnosis) -> Diagnosis:
+    """A diagnosis with less certainty, and with more words of every kind."""
+    every = tuple(name for name, entry in CATALOGUE.items() if entry.named and name != "coulomb_friction")
+    verdict = replace(diagnosis.verdict, probability=0.38, confusable_with={"coulomb_friction": every})
+    return replace(diagnosis, verdict=verdict)
+
+
+WIDER_THAN_THE_SCREEN = """
+[...document.querySelectorAll("main *")].filter(element => !element.closest("svg")).filter(element => {
+  const box = element.getBoundingClientRect();
+  const isCut = element.clientWidth > 0 && element.scrollWidth > element.clientWidth + 1;
+  return box.right > innerWidth + 0.5 || box.left < -0.5 || isCut;
+}).map(element => element.outerHTML.slice(0, 120))
+"""
+CUT_LABELS = """
+[...document.querySelectorAll("svg text")].filter(text => {
+  const box = text.getBoundingClientRect(), around = text.closest("svg").getBoundingClientRect();
+  return box.left < around.left - 0.5 || box.right > around.right + 0.5 || box.bottom > around.bottom + 0.5;
+}).map(text => text.textContent)
+"""
+
+
+@needs_chromium
+@pytest.mark.parametrize("width", [390, 1280])
+def test_nothing_is_cut_off_on_a_narrow_screen_or_a_wide_one(doubtful: Diagnosis, tmp_path: Path, width: int) -> None:
+    report.write_report(doubtful, tmp_path / "report.html", "Written by: valve-sim diagnose " + "a_long_name/" * 20)
+    with Browser(tmp_path / "report.html", tmp_path) as browser:
+        browser.show(width)
+        browser.evaluate("document.querySelectorAll('details').forEach(folded => { folded.open = true; })")
+        assert browser.evaluate("document.documentElement.scrollWidth") == width
+        assert browser.evaluate(WIDER_THAN_THE_SCREEN) == []
+        assert browser.evaluate(CUT_LABELS) == []
+        smallest = browser.evaluate(
+            "Math.min(...[...document.querySelectorAll('svg text')].map(text => text.getBoundingClientRect().height))"
+        )
+        assert smallest > 9.0, "letters of the plots are too small to read"
+
+
+@needs_chromium
+@pytest.mark.skipif(shutil.which("pdftotext") is None, reason="no pdftotext is installed to read the pages with")
+def test_a_heading_is_printed_on_the_page_of_its_first_plots(doubtful: Diagnosis, tmp_path: Path) -> None:
+    report.write_report(doubtful, tmp_path / "report.html")
+    with Browser(tmp_path / "report.html", tmp_path) as browser:
+        browser.show(1280)
+        for height in range(0, 1000, 110):
+            browser.evaluate(f"document.querySelector('header').style.paddingTop = '{height}px'")
+            browser.print(tmp_path / "report.pdf")
+            command = ["pdftotext", "-layout", str(tmp_path / "report.pdf"), "-"]
+            pages = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split("\f")
+            for heading, plot in (("Measured against model", "residual, µm"), ("as a force", "strongest at")):
+                (page,) = [page for page in pages if heading in page]
+                assert plot in page.partition(heading)[2], f"{heading} stands alone with {height} px above it"
+
+
+@needs_chromium
+def test_what_is_more_likely_wrong_than_right_is_neither_green_nor_found(
+    diagnosis: Diagnosis, doubtful: Diagnosis, tmp_path: Path
+) -> None:
+    sure = replace(diagnosis, verdict=replace(diagnosis.verdict, probability=0.97))
+    shown = {}
+    for name, said in (("sure", sure), ("doubtful", doubtful)):
+        report.write_report(said, tmp_path / f"{name}.html")
+        with Browser(tmp_path / f"{name}.html", tmp_path / name) as browser:
+            browser.show(1280)
+            shown[name] = browser.evaluate(
+                "[document.querySelector('.kind')].map(kind => [kind.textContent, getComputedStyle(kind).color])[0]"
+            )
+    assert "found" in shown["sure"][0]
+    assert shown["sure"][1] == "rgb(26, 127, 75)"
+    assert "found" not in shown["doubtful"][0]
+    assert "probability 38 %" in shown["doubtful"][0]
+    assert shown["doubtful"][1] == "rgb(160, 100, 0)"

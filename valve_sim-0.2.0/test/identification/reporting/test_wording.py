@@ -1,0 +1,197 @@
+"""Verdicts in plain words: values with the unit that people read, and no name of code where a title is due."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from identification.recordings import friction_found, recorded
+from valve_sim.files.parameter_files import default_valve
+from valve_sim.identification.diagnosis.experiment_design import Recommendation
+from valve_sim.identification.diagnosis.run import Diagnosis, Verdict, diagnose
+from valve_sim.identification.estimation.declared_values import DeclaredValue
+from valve_sim.identification.estimation.intervals import Interval
+from valve_sim.identification.plants.effect_titles import title_of
+from valve_sim.identification.plants.protocol import Experiment
+from valve_sim.identification.reporting.declared_values import declared_lines, summary_words
+from valve_sim.identification.reporting.diagnosis_json import to_json
+from valve_sim.identification.reporting.summary import recording_advice, summarise
+from valve_sim.identification.reporting.text import diagnosis_text
+from valve_sim.identification.reporting.units import limits, measured, quantity
+from valve_sim.identification.reporting.wording import headline, kind_words, meanings, percent, rounding_words
+from valve_sim.model import CATALOGUE
+
+NAMED = [name for name, entry in CATALOGUE.items() if entry.named]
+UNITS = sorted({parameter.unit for entry in CATALOGUE.values() for parameter in entry.parameters} - {"–"})
+
+
+@pytest.fixture(scope="module")
+def diagnosis() -> Diagnosis:
+    return friction_found()
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "words"),
+    [
+        (1.04e-6, "m", "1.04 µm"),
+        (1.23e-3, "m", "1.23 mm"),
+        (-5.0e-6, "m", "−5.00 µm"),
+        (6e-3, "s", "6.00 ms"),
+        (50e-6, "s", "50.0 µs"),
+        (3.7, "s", "3.70 s"),
+        (0.0, "m", "0.00 µm"),
+        (math.inf, "–", "∞"),
+        (math.inf, "Hz", "∞"),
+        (1.02, "–", "1.02"),
+        (-6.76e7, "N/m³", "−6.76·10⁷ N/m³"),
+        (0.1, "N", "0.100 N"),
+        (math.nan, "N", "–"),
+    ],
+)
+def test_a_value_has_the_unit_that_people_read(value: float, unit: str, words: str) -> None:
+    assert quantity(value, unit) == words
+
+
+@pytest.mark.parametrize("unit", UNITS)
+@pytest.mark.parametrize("value", [0.0, 1.04e-6, 0.3, 7.0, 3e5])
+def test_every_value_of_the_catalogue_has_a_unit(unit: str, value: float) -> None:
+    found = Interval(value, 0.1 * value + 1e-9, 0.8 * value, math.inf)
+    for words in (quantity(value, unit), measured(found, unit), limits(found, unit)):
+        assert words.split(" ")[-1][-1] == unit[-1]
+        assert "e-" not in words
+        assert "inf" not in words
+
+
+def test_a_value_has_as_many_digits_as_its_error() -> None:
+    assert measured(Interval(0.0047292, 0.00064, 0.0035, 0.0060), "N") == "0.00473 ± 0.00064 N"
+    assert measured(Interval(1.04e-6, 0.13e-6, 0.8e-6, 1.3e-6), "m") == "1.04 ± 0.13 µm"
+
+
+@pytest.mark.parametrize("kind", ["effects", "unknown", "insufficient", "none"])
+@pytest.mark.parametrize("probability", [0.33, 0.7, 0.99])
+def test_headlines_have_no_names_of_code(diagnosis: Diagnosis, kind: str, probability: float) -> None:
+    for name in NAMED:
+        verdict = diagnosis.verdict
+        verdict = replace(
+            verdict, kind=kind, effects=(name,), probability=probability, confusable_with={name: tuple(NAMED)}
+        )
+        words = headline(replace(diagnosis, verdict=verdict))
+        assert "_" not in words
+        assert words[0].isupper()
+        assert words.endswith(".")
+        if kind != "none":
+            assert title_of(name).lower() in words.lower()
+
+
+@pytest.mark.parametrize(("probability", "words"), [(0.33, "Perhaps"), (0.7, "Probably"), (0.99, "Nothing")])
+def test_that_nothing_is_missing_is_said_once_and_as_sure_as_it_is(
+    diagnosis: Diagnosis, probability: float, words: str
+) -> None:
+    verdict = replace(diagnosis.verdict, kind="none", effects=(), probability=probability, confusable_with={})
+    text = diagnosis_text(replace(diagnosis, verdict=verdict))
+    assert text.startswith(f"none: {words} ")
+    assert text.lower().count("nothing is missing") == 1
+    assert f"Probability {100 * probability:.0f} %." in text
+
+
+@pytest.mark.parametrize("kind", ["effects", "unknown", "insufficient"])
+@pytest.mark.parametrize("strokes", [1, 8])
+def test_a_summary_and_its_advice_have_no_names_of_code(diagnosis: Diagnosis, kind: str, strokes: int) -> None:
+    plant = diagnosis.plant
+    experiment = Experiment("a pulse of 4 ms at 9 V", lambda machine: plant)
+    recommendation = Recommendation(experiment, {("asymmetric_friction + coil_lag", "stop_bounce"): 7.0})
+    for name in NAMED:
+        alike = {name: ("eddy_lag", "stroke_offset")}
+        unnamed = 0.99 if kind == "unknown" else 0.02
+        verdict = Verdict(kind, (name,), alike, 0.9, unnamed, 0.7, strokes)
+        untried = ("Coulomb friction and coil lag", "sets of more effects")
+        found = replace(diagnosis, verdict=verdict, recommendation=recommendation, untried=untried)
+        summary, advice = summarise(found), recording_advice(found)
+        assert "_" not in summary + advice
+        assert verdict.is_open
+        assert "friction that differs by direction and coil lag from bounce" in advice
+        assert (advice in summary) == (kind == "insufficient")
+        assert title_of(name).lower() in summary.lower() or (kind == "insufficient" and strokes == 1)
+
+
+@pytest.mark.parametrize(("probability", "words"), [(1.0, "> 99 %"), (0.5, "50 %"), (0.0, "< 1 %")])
+def test_nothing_is_said_to_be_certain(probability: float, words: str) -> None:
+    assert percent(probability) == words
+
+
+@pytest.mark.long
+def test_what_is_off_is_said_beside_what_was_declared() -> None:
+    valve = default_valve().exact()
+    trace = recorded(effects={"coulomb_friction": {"force": 0.1}})
+    declared = replace(valve, effects={"coulomb_friction": {"force": 0.03}})
+    grown = diagnose([trace], [], declared)
+    assert grown.verdict.effects == ("coulomb_friction",)
+    assert headline(grown).startswith("The model declares another size of Coulomb friction: 0.10")
+    assert "declared 0.0300 N" in headline(grown)
+
+
+def test_nothing_is_advised_where_nothing_is_open(diagnosis: Diagnosis) -> None:
+    certain = replace(diagnosis, verdict=replace(diagnosis.verdict, confusable_with={"coulomb_friction": ()}))
+    assert not certain.verdict.is_open
+    assert recording_advice(certain) == ""
+    assert to_json(certain)["record_next"] is None
+
+
+def test_the_terminal_says_title_amount_unit_and_what_to_do(diagnosis: Diagnosis) -> None:
+    text = diagnosis_text(diagnosis)
+    entry = CATALOGUE["coulomb_friction"]
+    assert text.replace("\n", "").isprintable(), "a terminal would show marks in place of some letters"
+    assert text.startswith("effects: The model lacks Coulomb friction: 0.100")
+    assert "Coulomb friction (coulomb_friction): friction force 0.100" in text
+    for words in (" N, 4 % of the spring preload", entry.on_a_real_valve, entry.what_to_do):
+        assert words in text
+    values = [line for line in text.splitlines() if " ± " in line and ":" not in line]
+    assert [line.split()[0] for line in values] == ["pilot_damping", "main_damping", "coulomb_friction.force"]
+    assert [line.split()[-1] for line in values] == ["N·s/m", "N·s/m", "N"]
+
+
+def test_a_guess_is_called_a_guess(diagnosis: Diagnosis) -> None:
+    guess = replace(diagnosis, verdict=replace(diagnosis.verdict, probability=0.38, confusable_with={}))
+    assert kind_words(guess.verdict) == ("A first guess, more likely wrong than right", False)
+    assert headline(guess).startswith("Perhaps the model lacks Coulomb friction")
+    alike = replace(guess.verdict, confusable_with={"coulomb_friction": ("stiction",)})
+    assert kind_words(alike) == ("A first guess among look-alikes", False)
+
+
+def test_the_report_for_programs_has_the_same_words(diagnosis: Diagnosis) -> None:
+    report = to_json(diagnosis)
+    (meaning,) = meanings(diagnosis)
+    assert report["verdict"]["headline"] == headline(diagnosis)
+    assert report["meaning"]["coulomb_friction"]["severity"] == "4 % of the spring preload"
+    assert report["meaning"]["coulomb_friction"]["what_to_do"] == meaning.what_to_do
+
+
+def within(deviation: float) -> DeclaredValue:
+    return DeclaredValue("spring_rate", "N/m", 428.0, 10.0, 428.0 + 10.0 * deviation, 1.0, deviation, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("deviation", "words"),
+    [
+        (-0.04, "where they are declared"),
+        (0.0, "where they are declared"),
+        (-0.06, "off by −0.1"),
+        (1.5, "off by +1.5"),
+    ],
+)
+def test_no_value_is_off_by_a_signed_nothing(deviation: float, words: str) -> None:
+    told = [summary_words([within(deviation)]), *declared_lines([within(deviation)])]
+    assert words in told[0]
+    assert not any(nothing in line for line in told for nothing in ("−0.0", "+0.0"))
+
+
+def test_an_error_that_grows_by_copies_of_a_rounding_error_is_explained(diagnosis: Diagnosis) -> None:
+    assert rounding_words(diagnosis) == ""
+    assert "rounded reading" not in diagnosis_text(diagnosis)
+    larger = replace(diagnosis, after=replace(diagnosis.after, train_rmse=1.01 * diagnosis.before.train_rmse))
+    errors = (quantity(state.train_rmse, "m") for state in (diagnosis.before, diagnosis.after))
+    assert "counted once" in rounding_words(larger)
+    assert " to ".join(errors) in rounding_words(larger)
+    assert rounding_words(larger) in diagnosis_text(larger)

@@ -1,0 +1,38 @@
+"""Where fits of effects start."""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+
+from valve_sim.identification.estimation.gram import sum_squares
+from valve_sim.identification.plants.protocol import EffectChoice
+from valve_sim.identification.selection.starts import all_near_off
+from valve_sim.model import Parameter
+
+
+def effect(name: str) -> EffectChoice:
+    return EffectChoice(name, (Parameter("size", "N", name, 0.0, math.inf, 1.0, 0.0),))
+
+
+@pytest.mark.parametrize("best", [0.1, 1e-3, 1e-4])
+def test_all_effects_start_where_together_they_make_nothing_much_worse(best: float) -> None:
+    """Two effects that do the same, of which the data want a certain sum."""
+
+    def cost(values: Mapping[str, float]) -> float:
+        return abs(values.get("a.size", 0.0) + values.get("b.size", 0.0) - best)
+
+    start = all_near_off(cost, [effect("a"), effect("b")], {"mass": 2.0})
+    assert start is not None
+    assert start["mass"] == 2.0
+    assert 0.0 < start["a.size"] + start["b.size"] <= 3.0 * best
+
+
+def test_there_may_be_no_such_start() -> None:
+    assert all_near_off(lambda values: math.inf if "a.size" in values else 1.0, [effect("a")], {}) is None
+
+
+@pytest.mark.filterwarnings("error")
+def test_residuals_beyond_all_numbers_cost_infinitely_much() -> None:
+    assert sum_squares(np.array([1e200, 1.0])) == math.inf

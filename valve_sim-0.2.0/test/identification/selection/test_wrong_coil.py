@@ -1,0 +1,57 @@
+"""A coil time constant that is off its declared value, to either side: the truth is the independent plant's."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import pytest
+from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
+from plants.recording import Recorder, record, train_profile
+
+from benchmarks.campaign.declared import as_trace, declared_valve
+from identification.recordings import Short
+from valve_sim.identification.diagnosis.outcome import Verdict
+from valve_sim.identification.diagnosis.run import begin
+from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.model import Valve
+
+DECLARED = float(CAMPAIGN_VALVE["coil_time_constant"])  # type: ignore[arg-type]
+SIGMA = 0.02 * DECLARED
+LAG, WRONG = "coil_lag", "valve.coil_time_constant"
+
+
+def declared_within(**tolerances: float) -> Valve:
+    return declared_valve(CAMPAIGN_VALVE, tolerances)
+
+
+@cache
+def verdict(tolerances_off: float, *, is_whole: bool = False) -> Verdict:
+    """Of few effects, or of the whole catalogue."""
+    truth = DeclaredPlant(parameters={**CAMPAIGN_VALVE, "coil_time_constant": DECLARED + tolerances_off * SIGMA})
+    trace = as_trace(record(truth, train_profile(), Recorder(), 5), "train")
+    valve = declared_within(coil_time_constant=SIGMA)
+    plant = ValvePlant([trace], valve) if is_whole else Short([trace], valve, [LAG, "drive_gain"])
+    return begin(plant).name().verdict
+
+
+def named(found: Verdict) -> set[str]:
+    return {*found.effects, *(other for others in found.confusable_with.values() for other in others)}
+
+
+def test_a_coil_that_is_later_is_a_lag_and_one_that_is_earlier_has_a_wrong_value() -> None:
+    """A larger time constant is a lag, and bears its name; no lag is negative."""
+    later, earlier = verdict(8.0), verdict(-8.0)
+    assert later.kind == earlier.kind == "effects"
+    assert named(later) == {LAG}
+    assert named(earlier) == {WRONG}
+
+
+@pytest.mark.parametrize("tolerances_off", [-1.5, 1.5])
+def test_a_value_within_its_tolerance_is_not_named(tolerances_off: float) -> None:
+    assert verdict(tolerances_off, is_whole=True).kind == "none"
+
+
+def test_freed_by_hand_the_coil_time_constant_has_its_natural_range() -> None:
+    recording = record(DeclaredPlant(), train_profile(), Recorder(), 5)
+    plant = ValvePlant([as_trace(recording, "train")], declared_within(coil_time_constant=SIGMA))
+    assert plant.parameter("coil_time_constant").upper > 10.0 * DECLARED

@@ -1,0 +1,231 @@
+"""Readings that are no measurements weigh nothing in fits, noise and verdicts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from plants.recording import Recorder
+
+from identification.recordings import FINE, recorded
+from valve_sim.files.parameter_files import default_valve
+from valve_sim.identification.diagnosis.identify import primary_rmse
+from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
+from valve_sim.identification.estimation import problem as problems
+from valve_sim.identification.estimation.noise import LARGEST_ORDER, Noise, estimate_noise, quiet_windows
+from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.estimation.result import rmse
+from valve_sim.identification.estimation.solver import fit
+from valve_sim.identification.plants.check import PlantError, check_plant
+from valve_sim.identification.plants.protocol import Channel, Direction
+from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.identification.validation.replay import validate
+from valve_sim.model import Valve
+from valve_sim.traces import Trace, TraceError, read_trace, refuse_doubtful_units, write_bag
+
+VALVE = default_valve().exact()
+BOTH = ("pilot_damping", "main_damping")
+VALUES = {"pilot_damping": 1.3, "main_damping": 3.3, "clock_offset[0]": 1e-5}
+CODE = 32.767e-3
+SENSORS = {"white": FINE, "coloured": Recorder(colour=0.7), "coarse": Recorder(quantisation=5e-6)}
+
+
+def spoilt(trace: Trace, seed: int = 3, dropouts: Sequence[tuple[int, int]] = ((2000, 60), (6200, 200))) -> Trace:
+    """The recording with twenty spikes a second of 20 to 400 µm, anywhere, and with codes for some milliseconds."""
+    random = np.random.default_rng(seed)
+    position = trace.pilot_position.copy()
+    count = round(20.0 * (trace.times[-1] - trace.times[0]))
+    places = random.choice(len(position), count, replace=False)
+    position[places] += random.choice([-1.0, 1.0], count) * random.uniform(20e-6, 400e-6, count)
+    for start, length in dropouts:
+        position[start : start + length] = CODE
+    return replace(trace, pilot_position=position)
+
+
+def wrong(trace: Trace, of: Trace) -> np.ndarray:
+    return np.asarray(trace.pilot_position != of.pilot_position)
+
+
+@pytest.fixture(scope="module", params=SENSORS)
+def pair(request: pytest.FixtureRequest) -> tuple[Trace, Trace]:
+    """A recording, and what spikes and codes make of it."""
+    trace = recorded(SENSORS[request.param])
+    return trace, spoilt(trace)
+
+
+def test_what_is_wrong_is_left_out_of_the_channel(pair: tuple[Trace, Trace]) -> None:
+    trace, bad = pair
+    (channel,) = ValvePlant([bad], VALVE).channels
+    assert channel.left_out is not None
+    np.testing.assert_array_equal(channel.left_out, wrong(bad, trace))
+    assert np.abs(channel.data - trace.pilot_position).max() < 0.4e-3
+    assert channel.count == len(trace.times) - np.count_nonzero(channel.left_out)
+    (sound,) = ValvePlant([trace], VALVE).channels
+    assert sound.left_out is None
+    assert sound.data is trace.pilot_position
+    assert channel.quiet[~channel.left_out].sum() > 0.95 * sound.quiet.sum()
+
+
+def test_noise_is_that_of_what_is_left(pair: tuple[Trace, Trace]) -> None:
+    trace, bad = pair
+    sound, found = (estimate_noise(ValvePlant([own], VALVE).channels) for own in (trace, bad))
+    assert found.sigma == pytest.approx(sound.sigma, rel=0.03)
+    assert found.innovation == pytest.approx(sound.innovation, rel=0.03)
+    assert found.step == pytest.approx(sound.step)
+    assert len(found.coefficients) == len(sound.coefficients)
+
+
+def test_residuals_do_not_depend_on_what_is_left_out(pair: tuple[Trace, Trace]) -> None:
+    """Nor do those after it, into which whitening carries it."""
+    trace, bad = pair
+    problem, true = (Problem(ValvePlant([own], VALVE)) for own in (bad, trace))
+    true = true.with_noises(problem.noises)
+    (channel,) = problem.plant.channels
+    left, expected = problem.residuals(VALUES), true.residuals(VALUES)
+    takes_part = problem.weight(0) > 0.0
+    assert channel.left_out is not None
+    assert not takes_part[channel.left_out].any()
+    assert not left[~takes_part].any()
+    order = len(problem.noise.coefficients)
+    assert problem.samples == np.count_nonzero(takes_part) >= channel.count - order * np.count_nonzero(channel.left_out)
+    same = takes_part & (problem.weight(0) == true.weight(0))
+    assert np.count_nonzero(same) > 0.8 * np.count_nonzero(takes_part)
+    np.testing.assert_allclose(left[same], expected[same], rtol=1e-9, atol=1e-12)
+
+
+def test_few_rows_and_sums_say_what_every_sample_does(
+    pair: tuple[Trace, Trace], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem = Problem(ValvePlant([pair[1]], VALVE))
+    rows = problem.condensed().rows
+    residuals = problem.residuals(VALUES)
+    chi2 = float(residuals @ residuals)
+    assert rows.constant + float(np.sum(np.square(rows.residuals(VALUES)))) == pytest.approx(chi2, abs=0.01)
+    assert np.sum(rows.counts) == problem.samples
+    directions = [Direction({name: 1.0}, 1e-7) for name in BOTH]
+    jacobian, _ = problem.sensitivities(VALUES, directions)
+    sums = problem.sums(VALUES, directions)
+    assert sums is not None
+    assert sums.squares == pytest.approx(chi2, rel=1e-12)
+    np.testing.assert_allclose(sums.gradient, jacobian.T @ residuals, rtol=1e-9)
+    by_rows = fit(problem, BOTH, {}, nuisances=problem.plant.nuisances)
+    monkeypatch.setattr(problems, "LONG", 0)
+    by_sums = fit(problem, BOTH, {}, nuisances=problem.plant.nuisances)
+    for name in BOTH:
+        assert abs(by_sums.values[name] - by_rows.values[name]) < 0.02 * by_rows.stderr(name)
+
+
+def test_a_fit_and_its_errors_are_as_without(pair: tuple[Trace, Trace], monkeypatch: pytest.MonkeyPatch) -> None:
+    trace, bad = pair
+    sound, found = (
+        fit(problem, BOTH, {}, nuisances=problem.plant.nuisances)
+        for problem in (Problem(ValvePlant([own], VALVE)) for own in (trace, bad))
+    )
+    for name in BOTH:
+        assert abs(found.values[name] - sound.values[name]) < 0.5 * sound.stderr(name)
+        assert found.stderr(name) == pytest.approx(sound.stderr(name), rel=0.2)
+    assert rmse(found) == pytest.approx(rmse(sound), rel=0.04)  # less of the motion is seen
+    by_rows = primary_rmse(found.problem.plant, found.values)
+    assert by_rows == pytest.approx(rmse(found), rel=0.01)
+    monkeypatch.setattr("valve_sim.identification.diagnosis.identify.LONG", 0)
+    assert primary_rmse(found.problem.plant, found.values) == pytest.approx(by_rows, rel=1e-9)
+
+
+def test_a_fit_at_2_khz_is_as_without_where_lines_miss_the_motion() -> None:
+    trace = recorded(Recorder(colour=0.7, sample_rate=2e3))
+    position = trace.pilot_position.copy()
+    for start, length in ((34, 3), (150, 2), (212, 4), (390, 3)):  # in openings and closings
+        position[start : start + length] = CODE
+    plants = ValvePlant([trace], VALVE), ValvePlant([replace(trace, pilot_position=position)], VALVE)
+    assert np.abs(plants[1].channels[0].data - trace.pilot_position).max() > 30e-6
+    sound, found = (fit(Problem(plant), BOTH, {}, nuisances=plant.nuisances) for plant in plants)
+    for name in BOTH:
+        assert abs(found.values[name] - sound.values[name]) < sound.stderr(name)
+    assert rmse(found) == pytest.approx(rmse(sound), rel=0.05)
+
+
+@pytest.mark.parametrize(("colour", "samples", "reach"), [((), 900, 0), ((0.7,), 900, 1), ((), 0, LARGEST_ORDER)])
+def test_samples_after_one_that_is_left_out_weigh_nothing_as_far_as_whitening_reaches(
+    colour: tuple[float, ...], samples: int, reach: int
+) -> None:
+    """Of what is never still the noise is estimated later, and may have any order."""
+    plant = ValvePlant([spoilt(recorded())], VALVE)
+    left_out = plant.channels[0].left_out
+    assert left_out is not None
+    weight = Problem(plant, noises={"position": Noise(1e-6, 1e-6, colour, 0.0, samples)}).weight(0)
+    expected = left_out.copy()
+    for place in np.flatnonzero(left_out).tolist():
+        expected[place : place + reach + 1] = True
+    np.testing.assert_array_equal(weight == 0.0, expected)
+
+
+def test_windows_are_bridged_over_spikes_and_end_at_dropouts() -> None:
+    values, left_out = np.zeros(1000), np.zeros(1000, dtype=bool)
+    left_out[200:205] = left_out[500:506] = True
+    channel = Channel(
+        "test", "position", np.arange(1000) / 2e4, values, np.ones(1000, bool), np.zeros(1000, int), left_out=left_out
+    )
+    assert [len(window.values) for window in quiet_windows(channel)] == [500, 494]
+
+
+def test_some_samples_of_a_plant_are_left_out_as_they_were() -> None:
+    plant = ValvePlant([spoilt(recorded())], VALVE)
+    kept = np.arange(0, len(plant.channels[0].data), 3)
+    few, every = plant.thinned([kept]).channels[0], plant.channels[0]
+    assert few.left_out is not None
+    assert every.left_out is not None
+    np.testing.assert_array_equal(few.left_out, every.left_out[kept])
+
+
+@pytest.mark.parametrize("left_out", [np.zeros(3, bool), np.zeros(10_000), [False] * 10_000])
+def test_a_plant_whose_mask_is_none_is_refused(left_out: object) -> None:
+    plant = ValvePlant([recorded()], VALVE)
+    plant._channels = [replace(plant.channels[0], left_out=left_out)]  # type: ignore[arg-type]
+    with pytest.raises(PlantError, match=r"channels\[0\]\.left_out: found .*, expected \(10000,\) of bool"):
+        check_plant(plant)
+
+
+def test_a_replay_is_judged_by_measurements() -> None:
+    trace = recorded()
+    valve = VALVE.with_values(pilot_damping=1.4, main_damping=3.2)
+    sound, found = (validate([own], valve).replays[0].errors for own in (trace, spoilt(trace)))
+    assert found.samples == sound.samples - np.count_nonzero(spoilt(trace).left_out.any)
+    assert found.rmse == pytest.approx(sound.rmse, rel=0.02)
+    assert found.maximum < 1.1 * sound.maximum
+
+
+def diagnosed(trace: Trace, valve: Valve = VALVE) -> Diagnosis:
+    return diagnose([trace], [], valve)
+
+
+def test_a_healthy_valve_stays_healthy_with_spikes_and_dropouts(tmp_path: Path) -> None:
+    trace = recorded()
+    write_bag(tmp_path / "bad.mcap", spoilt(trace))
+    bad = read_trace(tmp_path / "bad.mcap")
+    refuse_doubtful_units(bad, VALVE.parameters)
+    assert bad.left_out.counts == {"codes": 260, "repeated": 0, "spikes": 10, "clipped": 0}
+    sound, found = diagnosed(trace), diagnosed(bad)
+    assert found.verdict.kind == sound.verdict.kind == "none"
+    for name in BOTH:
+        stderr = sound.before.fit.stderr(name)
+        assert abs(found.before.fit.values[name] - sound.before.fit.values[name]) < 0.5 * stderr
+    assert found.before.train_rmse == pytest.approx(1e-6, rel=0.03)
+
+
+@pytest.mark.long
+def test_a_missing_effect_is_named_with_spikes_and_dropouts() -> None:
+    bad = spoilt(recorded(effects={"stop_bounce": {"restitution_stop": 0.2, "restitution_seat": 0.15}}))
+    found = diagnosed(bad)
+    assert found.verdict.effects == ("stop_bounce",)
+    interval = found.after.intervals["stop_bounce.restitution_stop"]
+    assert interval.value == pytest.approx(0.2, abs=4.0 * interval.stderr)
+
+
+@pytest.mark.parametrize("unit", [1e3, 1e6, 1e-3])
+def test_another_unit_is_refused_with_codes_in_it(unit: float) -> None:
+    bad = spoilt(recorded())
+    with pytest.raises(TraceError, match=r"about (1000|1e\+06) times too (large|small)"):
+        refuse_doubtful_units(replace(bad, pilot_position=unit * bad.pilot_position), VALVE.parameters)

@@ -1,0 +1,149 @@
+"""Replay validation: the declared valve passes, another does not, and what must not matter does not."""
+
+from dataclasses import replace
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from plants.declared import DeclaredPlant
+from plants.recording import Recorder, Recording, record, train_profile
+
+from valve_sim.files.parameter_files import default_valve
+from valve_sim.identification.diagnosis.run import diagnose
+from valve_sim.identification.reporting.validation import validation_json, validation_junit, validation_text
+from valve_sim.identification.validation.replay import validate
+from valve_sim.model import EXACT, Drive, Tolerances, ValveError
+from valve_sim.traces import Trace
+
+EXACT_VALVE = default_valve().exact()
+
+
+def measured(seed: int = 3, **changes: float) -> Recording:
+    """Eight strokes of the independent plant, 20 kHz, 1 µm noise."""
+    return record(DeclaredPlant(), train_profile(), Recorder(**changes), seed)
+
+
+def as_trace(recording: Recording) -> Trace:
+    return Trace(
+        "bench.mcap (/valve)",
+        Drive(recording.command_times, recording.volts),
+        recording.times,
+        recording.pilot_position,
+        recording.main_position,
+    )
+
+
+@pytest.fixture(scope="module")
+def trace() -> Trace:
+    return as_trace(measured())
+
+
+def test_declared_valve_passes_at_three_times_the_noise(trace: Trace):
+    result = validate([trace], EXACT_VALVE)
+    replay = result.replays[0]
+    assert result.passed
+    assert replay.noise == pytest.approx(1e-6, rel=0.05)
+    assert replay.tolerance == pytest.approx(3e-6, rel=0.05)
+    assert replay.errors.rmse == pytest.approx(1e-6, rel=0.05)
+    assert len(replay.strokes) == 16
+
+
+@pytest.mark.parametrize("change", [{"main_damping": 4.8}, {"main_damping": 3.2}, {"a0": 3.2}, {"stroke": 1.235e-3}])
+def test_another_valve_fails(trace: Trace, change: dict[str, float]):
+    result = validate([trace], EXACT_VALVE.with_values(**change))
+    # The error of each command's stamp, free within its prior, can put most openings right, but not all strokes.
+    assert not result.passed
+
+
+def test_a_long_rest_does_not_hide_a_wrong_motion(trace: Trace):
+    rest = trace.times[-1] + np.arange(1, 100_001) / 20e3
+    noise = 1e-6 * np.random.default_rng(0).standard_normal((2, len(rest)))
+    padded = replace(
+        trace,
+        times=np.concatenate([trace.times, rest]),
+        pilot_position=np.concatenate([trace.pilot_position, noise[0]]),
+        main_position=np.concatenate([trace.main_position, noise[1]]),
+    )
+    result = validate([padded], EXACT_VALVE.with_values(main_damping=4.8))
+    last = result.replays[0].strokes[-1]
+    assert last.errors.rmse < result.replays[0].tolerance < last.errors.moving_rmse
+    assert not result.passed
+
+
+def test_clock_offset_within_its_prior_is_estimated_and_forgiven():
+    result = validate([as_trace(measured(clock_offset=-60e-6))], EXACT_VALVE)
+    assert result.passed
+    assert result.replays[0].clock_offset == pytest.approx(60e-6, abs=2e-6)
+
+
+def test_clock_offset_far_beyond_its_prior_is_not_forgiven():
+    assert not validate([as_trace(measured(clock_offset=-5e-3))], EXACT_VALVE).passed
+
+
+def test_errors_of_the_stamps_within_their_prior_are_estimated_and_forgiven():
+    result = validate([as_trace(measured(command_jitter=50e-6))], EXACT_VALVE)
+    assert result.passed
+    assert result.replays[0].errors.rmse == pytest.approx(1e-6, rel=0.05)
+
+
+def test_tolerances_widen_the_band_and_move_nothing(trace: Trace):
+    spread = replace(EXACT_VALVE, tolerances=Tolerances({"spring_preload": 0.15}))
+    exact, wide = (validate([trace], valve).replays[0] for valve in (EXACT_VALVE, spread))
+    np.testing.assert_array_equal(wide.predicted, exact.predicted)
+    assert wide.errors.tolerance > 1.5 * exact.errors.tolerance
+    off = spread.with_values(spring_preload=1.06 * EXACT_VALVE.parameters.spring_preload)
+    assert validate([trace], off).passed
+    assert not validate([trace], replace(off, tolerances=EXACT)).passed
+
+
+@pytest.mark.long
+def test_the_corrected_valve_has_the_error_that_the_diagnosis_predicts_of_held_out_strokes(trace: Trace):
+    other = as_trace(measured(seed=4, clock_offset=-30e-6, command_jitter=20e-6))
+    declared = replace(EXACT_VALVE, tolerances=Tolerances({"spring_preload": 0.05})).with_values(spring_preload=2.56)
+    plain = [replace(entry, main_position=None) for entry in (trace, other)]
+    found = diagnose(plain[:1], plain[1:], declared)
+    replayed = validate(plain[1:], found.valve).replays[0]
+    assert replayed.errors.rmse == pytest.approx(found.after.holdout_rmse, rel=0.01)
+
+
+def test_arrivals_agree_with_the_model_within_their_error(trace: Trace):
+    arrivals = [arrival for stroke in validate([trace], EXACT_VALVE).replays[0].strokes for arrival in stroke.arrivals]
+    kinds = {arrival.kind for arrival in arrivals}
+    assert kinds == {"pilot_reaches_main", "reaches_stop", "main_seats", "reaches_seat"}
+    deviations = [(arrival.measured - arrival.model) / arrival.uncertainty for arrival in arrivals]
+    assert np.sqrt(np.mean(np.square(deviations))) < 2.0
+
+
+def test_tolerance_decides(trace: Trace):
+    assert validate([trace], EXACT_VALVE, 2e-6).passed
+    assert not validate([trace], EXACT_VALVE, 0.5e-6).passed
+
+
+@pytest.mark.parametrize("tolerance", [0.0, -1e-6, np.nan, np.inf])
+def test_tolerance_without_sense_is_refused(trace: Trace, tolerance: float):
+    with pytest.raises(ValveError, match="--tolerance-um"):
+        validate([trace], EXACT_VALVE, tolerance)
+
+
+def test_junit_has_a_case_for_each_stroke_and_counts_failures(trace: Trace):
+    good = validate([trace], EXACT_VALVE)
+    bad = validate([trace, trace], EXACT_VALVE.with_values(main_damping=4.8))
+    for result, suites in ((good, 1), (bad, 2)):
+        root = ElementTree.fromstring(validation_junit(result).encode())
+        assert [suite.tag for suite in root] == ["testsuite"] * suites
+        for suite in root:
+            cases = suite.findall("testcase")
+            assert len(cases) == int(suite.attrib["tests"]) == 17
+            assert cases[0].attrib["name"] == "opening at 0.010 s, 9.0 V"
+            assert len(suite.findall("testcase/failure")) == int(suite.attrib["failures"])
+        assert (int(root.attrib["failures"]) == 0) == result.passed
+
+
+def test_report_and_text_say_the_same(trace: Trace):
+    result = validate([trace], EXACT_VALVE.with_values(main_damping=4.8))
+    report = validation_json(result)
+    assert report["passed"] is False
+    text = validation_text(result)
+    failed = [stroke["passed"] for stroke in report["recordings"][0]["strokes"]].count(False)
+    assert failed == text.count("  outside") - 1  # the recording as a whole is outside too
+    assert text.endswith("FAILED")

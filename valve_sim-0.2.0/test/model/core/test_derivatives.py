@@ -1,0 +1,108 @@
+"""Derivatives by parameters, commands and clocks against quotients of the core's own runs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from model.core.cases import CALIBRATED, STROKE, drawn, with_value
+from valve_sim.model import Valve, simulate
+from valve_sim.model.drives import Drive
+from valve_sim.model.errors import ParameterError
+from valve_sim.model.runs import Directions, run_sloped
+
+ACCURATE = 1e-7
+"""Of the largest derivative, or of a stroke for a parameter as large again: how far one may be off the quotient."""
+DOUBT = 0.1
+"""Of how far the quotients of two differences are apart: the error of what is extrapolated from them."""
+FINE = 1e-12
+MANY = 20
+BELOW = Drive.of([1e-3, 16e-3], [8.5, 0.0])
+"""The current stays below u = 1, where residual magnetism has a corner."""
+
+
+def quotient(
+    valve: Valve, drive: Drive, times: np.ndarray, name: str, value: float
+) -> list[tuple[np.ndarray, np.ndarray]] | None:
+    """Derivatives of positions and of normalised currents by central differences, each with its own error.
+
+    None where events change.
+    """
+    found = []
+    for share in (1e-5, 5e-6):
+        ends = [with_value(valve, name, value * (1.0 + sign * share)) for sign in (1.0, -1.0)]
+        above, below = (simulate(end, drive, times, tolerance=FINE) for end in ends)
+        if [event.kind for event in above.events] != [event.kind for event in below.events]:
+            return None
+        rated = [end.parameters.coil_resistance / end.parameters.reference_voltage for end in ends]
+        by = 2.0 * share * value
+        found.append((
+            (above.pilot_position - below.pilot_position) / by,
+            (above.coil_current * rated[0] - below.coil_current * rated[1]) / by,
+        ))  # fmt: skip
+    return [((4.0 * fine - rough) / 3.0, DOUBT * np.abs(fine - rough)) for rough, fine in zip(*found, strict=True)]
+
+
+@pytest.mark.parametrize("kind", ["random", "flux", "release"])
+@pytest.mark.parametrize("seed", [*range(4), *(pytest.param(seed, marks=pytest.mark.long) for seed in range(4, MANY))])
+def test_derivatives_are_those_of_central_differences(kind: str, seed: int) -> None:
+    valve, drive, times = drawn(kind, seed)
+    values = dict(zip(valve.plan().parameters, valve.numbers().tolist(), strict=True))
+    values = {name: value for name, value in values.items() if "." not in name or name.split(".")[0] in valve.effects}
+    names = [name for name, value in values.items() if value != 0.0]
+    if seed < 4:
+        names = [str(name) for name in np.random.default_rng(seed).choice(names, 6, replace=False)]
+    base = simulate(valve, drive, times, tolerance=1e-10)
+    sloped = run_sloped(valve, drive, times, Directions.of(valve, drive, names), tolerance=1e-10, with_currents=True)
+    # Steps follow the current that tangents feel, too, and are others than those of a run without derivatives.
+    assert sloped.positions == pytest.approx(base.pilot_position, abs=1e-9)
+    edges = np.array([*(event.time for event in base.events), *drive.times])
+    away = np.abs(times[:, None] - edges[None, :]).min(axis=1) > 2e-6
+    for column, name in enumerate(names):
+        expected = quotient(valve, drive, times, name, values[name])
+        if expected is None:
+            continue
+        shown = (sloped.of_positions[:, column], sloped.of_currents[:, column])
+        for found, (quotients, doubt), size in zip(shown, expected, (1e-3, 1.0), strict=True):
+            allowed = ACCURATE * max(np.abs(quotients).max(), size / abs(values[name])) + doubt
+            assert (np.abs(found - quotients) < allowed)[away].all(), name
+
+
+def test_derivatives_by_commands_and_clocks() -> None:
+    times = np.linspace(2.1e-3, 30.1e-3, 57)
+    valve = Valve(CALIBRATED.parameters, {"coulomb_friction": {"force": 0.1}, "residual_magnetism": {"current": 0.2}})
+    zeros = Directions.of(valve, BELOW, ["stroke"] * 5)
+    directions = replace(
+        zeros, numbers=0.0 * zeros.numbers,
+        command_times=np.array([[1.0, 0.0], [0.0, 1.0], [0, 0], [0, 0], [0, 0]], dtype=float),
+        command_volts=np.array([[0, 0], [0, 0], [1.0, 0.0], [0.0, 1.0], [0, 0]], dtype=float),
+        sample_times=np.array([0.0, 0.0, 0.0, 0.0, 1.0]),
+    )  # fmt: skip
+    found = run_sloped(valve, BELOW, times, directions, tolerance=1e-10, with_currents=True)
+
+    def run(
+        volts: tuple[float, float] = (0.0, 0.0), moved: tuple[float, float] = (0.0, 0.0), late: float = 0.0
+    ) -> tuple[np.ndarray, np.ndarray]:
+        drive = Drive.of(BELOW.times + np.array(moved), BELOW.volts + np.array(volts))
+        response = simulate(valve, drive, times + late, tolerance=FINE, start_time=0.0)
+        return response.pilot_position, response.coil_current / 0.9
+
+    h, volt = 1e-8, 1e-5
+    quotients = [
+        [(a - b) / (2 * h) for a, b in zip(run(moved=(h, 0)), run(moved=(-h, 0)), strict=True)],
+        [(a - b) / (2 * h) for a, b in zip(run(moved=(0, h)), run(moved=(0, -h)), strict=True)],
+        [(a - b) / (2 * volt) for a, b in zip(run(volts=(volt, 0)), run(volts=(-volt, 0)), strict=True)],
+        [(a - b) / (2 * volt) for a, b in zip(run(volts=(0, volt)), run(volts=(0, -volt)), strict=True)],
+        [(a - b) / (2 * h) for a, b in zip(run(late=h), run(late=-h), strict=True)],
+    ]
+    for column, (position, current) in enumerate(quotients):
+        assert np.abs(found.of_positions[:, column] - position).max() < 2e-6 * np.abs(position).max()
+        assert np.abs(found.of_currents[:, column] - current).max() < 2e-6 * max(np.abs(current).max(), 1e-3)
+
+
+def test_a_parameter_that_the_valve_lacks_is_refused() -> None:
+    with pytest.raises(ParameterError, match="did you mean coulomb_friction"):
+        valve = Valve(CALIBRATED.parameters, {"coulomb_friction": {"force": 0.1}})
+        Directions.of(valve, STROKE, ["coulomb_friction.fors"])

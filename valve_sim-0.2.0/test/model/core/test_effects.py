@@ -1,0 +1,201 @@
+"""The catalogue of the core: every effect can be off, what does not go together is refused, users add their own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from model.core.cases import CALIBRATED, STROKE
+from model.random_valves import RANGES, any_valves
+from valve_sim.model import CATALOGUE, Effect, Valve, simulate
+from valve_sim.model.core.symbols import Motion, Own
+from valve_sim.model.core.tracer import Node, exp, maximum, sin
+from valve_sim.model.drives import Drive
+from valve_sim.model.errors import ParameterError, SimulationError
+from valve_sim.model.parameters import Parameter
+from valve_sim.model.runs import Directions, run_sloped
+
+TIMES = np.linspace(1e-3, 0.03, 80)
+SHIPPED = {name: entry for name, entry in CATALOGUE.items() if entry.is_of(has_gas=False)}
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_every_entry_is_whole(name: str) -> None:
+    entry = SHIPPED[name]
+    assert entry.name == name and entry.title and entry.summary and entry.source
+    assert entry.on_a_real_valve.endswith(".") and entry.what_to_do.endswith(".")
+    assert set(entry.confused_with) <= set(SHIPPED)
+    assert all(p.unit and p.description for p in entry.parameters)
+    assert entry.force or entry.friction or entry.square or entry.changes
+
+
+def valve_of(effects: dict[str, Any], **values: Any) -> Valve:
+    return Valve.from_mapping({"valve": values, "effects": effects}, "valve.yaml")
+
+
+@pytest.mark.parametrize(
+    ("effects", "values", "why"),
+    [
+        ({"coulomb": {"force": 1.0}}, {}, "no such effect; did you mean coulomb_friction"),
+        ({"coulomb_friction": {"force": -1.0}}, {}, "expected a number from 0"),
+        ({"coulomb_friction": {}}, {}, "force is missing"),
+        ({"coulomb_friction": {"force": 1.0, "level": 2.0}}, {}, "no such parameter"),
+        (
+            {"stop_bounce": {"restitution_stop": 0.1, "restitution_seat": 0.1},
+             "stop_compliance": {"compliance": 1e-8, "damping_ratio": 0.3}}, {}, "whose place it takes",
+        ),
+        ({"gap_offset": {"offset": 5e-3}}, {}, "expected 0 < pilot_gap < stroke"),
+        ({"stroke_offset": {"offset": -1.1e-3}}, {}, "expected 0 < pilot_gap < stroke"),
+        ({"gap_offset": {"offset": 1e-5}}, {"pilot_gap": 0.0}, "a valve with one plunger"),
+        ({"motional_emf": {"share": 1.0}}, {}, "without inductance has no flux"),
+        (
+            {"motional_emf": {"share": 1.0}, "magnetic_saturation": {"current": 0.5}}, {"coil_time_constant": 1e-4},
+            "more current would make less flux",
+        ),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_is_refused_in_one_line(effects: dict[str, Any], values: dict[str, Any], why: str) -> None:
+    with pytest.raises(ParameterError, match=why) as raised:
+        valve_of(effects, **values)
+    assert "\n" not in str(raised.value) and str(raised.value).startswith("valve.yaml")
+
+
+def spring_catch(m: Motion, own: Own) -> Node:
+    """A one-sided spring that begins at a place, a ripple and something that fades after the start."""
+    caught = own.stiffness * maximum(0.0, m.x - own.place)
+    return -caught + own.ripple * sin(m.t * 3000.0) * exp(-m.since / 5e-3)
+
+
+OWN_EFFECT = Effect(
+    name="catch", title="Catch", summary="a one-sided spring",
+    parameters=(
+        Parameter("stiffness", "N/m", "of the spring", 0, 1e6, 1e3, 0.0),
+        Parameter("place", "m", "where it begins", 0, 1e-2, 6e-4),
+        Parameter("ripple", "N", "of the drive", -10, 10, 0.1, 0.0),
+    ),
+    source="this test", on_a_real_valve="A catch.", what_to_do="Look for it.", force=spring_catch,
+)  # fmt: skip
+
+
+@pytest.fixture
+def catch() -> Iterator[None]:
+    """The effect of this test in the catalogue."""
+    CATALOGUE.register(OWN_EFFECT)
+    yield
+    CATALOGUE.unregister("catch")
+
+
+def check_derivatives(valve: Valve, effect: str, steps: dict[str, float]) -> None:
+    """Derivatives by parameters of an effect are difference quotients over these steps."""
+    directions = Directions.of(valve, STROKE, [f"{effect}.{name}" for name in steps])
+    sloped = run_sloped(valve, STROKE, TIMES, directions, tolerance=1e-10)
+    held = valve.effects[effect]
+    for column, (name, h) in enumerate(steps.items()):
+        above, below = (
+            simulate(
+                Valve(valve.parameters, {effect: {**held, name: held[name] + d}}), STROKE, TIMES, tolerance=1e-12
+            ).pilot_position
+            for d in (h, -h)
+        )
+        quotient = (above - below) / (2.0 * h)
+        assert np.abs(sloped.of_positions[:, column] - quotient).max() < 1e-6 * np.abs(quotient).max()
+
+
+@pytest.mark.usefixtures("catch")
+def test_an_effect_of_one_s_own_gets_series_events_and_derivatives() -> None:
+    values = {"stiffness": 2e3, "place": 7e-4, "ripple": 0.05}
+    mapping = {"valve": CALIBRATED.parameters._asdict(), "effects": {"catch": values}}
+    valve = Valve.from_mapping(mapping, "own.yaml")
+    exact = simulate(valve, STROKE, TIMES, tolerance=1e-13)
+    found = simulate(valve, STROKE, TIMES)
+    assert found.pilot_position == pytest.approx(exact.pilot_position, abs=2e-12)
+    check_derivatives(valve, "catch", {name: 1e-5 * size for name, size in values.items()})
+
+
+def valves(most_effects: int) -> st.SearchStrategy[Valve]:
+    """Valves with effects of the catalogue as it is shipped."""
+    return any_valves(sorted(SHIPPED), most_effects)
+
+
+drives = st.lists(st.tuples(st.floats(0.0, 0.02), st.floats(-1e3, 1e3) | st.sampled_from((0.0, 9.0, -9.0, 30.0))),
+                  min_size=1, max_size=5).map(sorted)  # fmt: skip
+
+
+def ends_inside(valve: Valve, commands: list[tuple[float, float]]) -> None:
+    times, volts = zip(*commands, strict=True)
+    try:
+        response = simulate(valve, Drive.of(times, volts), np.linspace(0.0, 0.02, 41))
+    except SimulationError as error:
+        # What explodes does so by its parameters; it is said in one line, and never by a hang.
+        assert "\n" not in str(error)
+        return
+    assert np.isfinite(response.pilot_position).all() and np.isfinite(response.coil_current).all()
+    if not {"sensor_gain", "stop_compliance"} & set(valve.effects):
+        stroke = valve.parameters.stroke + valve.effects.get("stroke_offset", {}).get("offset", 0.0)
+        assert response.pilot_position.min() >= -1e-9 and response.pilot_position.max() <= stroke + 1e-9
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
+@given(valves(1), drives)
+def test_any_accepted_valve_ends_finite_and_inside(valve: Valve, commands: list[tuple[float, float]]) -> None:
+    ends_inside(valve, commands)
+
+
+@pytest.mark.long
+@settings(max_examples=200, deadline=None, suppress_health_check=list(HealthCheck))
+@given(valves(3), drives)
+def test_many_accepted_valves_end_finite_and_inside(valve: Valve, commands: list[tuple[float, float]]) -> None:
+    ends_inside(valve, commands)
+
+
+def test_the_sizes_of_the_random_valves_are_of_the_catalogue() -> None:
+    assert set(RANGES) <= set(SHIPPED)
+
+
+MAP = {"low": 1e-4, "high": 1.1e-3, "coefficients": [0.3, -0.2, 0.4, 0.1, -0.3, 0.2, 0.35, -0.1]}
+
+
+@pytest.mark.parametrize(
+    ("variable", "low", "high"), [(0, 1e-4, 1.1e-3), (1, -0.3, 0.3), (2, 2e-3, 2e-2), (4, 1e-4, 1.1e-3)]
+)
+def test_a_force_map_is_its_spline_and_stops_at_its_knots(variable: int, low: float, high: float) -> None:
+    from scipy.interpolate import BSpline
+
+    mapping = {**MAP, "low": low, "high": high, "variable": variable}
+    if variable == 1:
+        mapping["coefficients"] = [abs(c) for c in MAP["coefficients"]]  # type: ignore[attr-defined]
+    valve = Valve.from_mapping(
+        {"valve": CALIBRATED.parameters._asdict(), "effects": {"force_map": mapping}}, "map.yaml"
+    )
+    c = np.array(mapping["coefficients"])
+    h = (high - low) / (len(c) - 3)
+    curve = BSpline(low + h * np.arange(-3, len(c) + 1), c, 3)
+    times = np.arange(1, 3000) * 1e-5
+    response = simulate(valve, STROKE, times)
+    exact = simulate(valve, STROKE, times, tolerance=1e-13)
+    assert response.pilot_position == pytest.approx(exact.pilot_position, abs=2e-12)
+    x, v = exact.pilot_position, exact.pilot_velocity
+    place = np.clip({0: x, 1: v, 2: times, 4: x}[variable], low, high)
+    force = curve(place) * {0: 1.0, 1: -v, 2: 1.0, 4: (exact.coil_current / 0.9) ** 2}[variable]
+    p = valve.parameters
+    away = np.abs(times[:, None] - np.array([event.time for event in exact.events])).min(axis=1) > 4e-5
+    for phase, mass, rest in ((1, p.pilot_mass, 0.0 * x), (3, p.moving_mass, p.spring_preload + p.spring_rate * x)):
+        inside = np.flatnonzero((exact.phase == phase) & away)
+        runs = [run for run in np.split(inside, np.flatnonzero(np.diff(inside) != 1) + 1) if len(run) > 20]
+        for run in runs:
+            damping = p.pilot_damping if phase == 1 else p.main_damping
+            net = (exact.attraction + force - rest - damping * v)[run]
+            slope = (v[run[4:]] - 8 * v[run[3:-1]] + 8 * v[run[1:-3]] - v[run[:-4]]) / -12e-5
+            assert mass * slope == pytest.approx(net[2:-2], abs=2e-4)
+
+
+def test_a_force_map_has_derivatives() -> None:
+    valve = Valve.from_mapping(
+        {"valve": CALIBRATED.parameters._asdict(), "effects": {"force_map": {**MAP, "variable": 0}}}, "map.yaml"
+    )
+    check_derivatives(valve, "force_map", {"c3": 1e-5, "low": 1e-9})

@@ -1,0 +1,105 @@
+"""A valve that is stepped live is the whole run, to the last bit, whoever looks when; changes come without a jump."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from model.core.cases import CALIBRATED, STROKE, drawn
+from valve_sim.model import TOLERANCE, Stepper, Valve, simulate
+from valve_sim.model.core.samples import ROW_COLUMNS
+from valve_sim.model.core_types import Phase
+from valve_sim.model.errors import SimulationError
+from valve_sim.model.live import Live
+from valve_sim.model.parameters import ValveParameters
+
+
+@pytest.mark.parametrize("kind", ["random", "flux", "release", "gas"])
+@pytest.mark.parametrize("seed", [*range(8), *(pytest.param(seed, marks=pytest.mark.long) for seed in range(8, 40))])
+def test_a_live_valve_is_the_whole_run_to_the_last_bit(kind: str, seed: int) -> None:
+    valve, drive, times = drawn(kind, seed)
+    whole = simulate(valve, drive, times)
+    random = np.random.default_rng(seed)
+    stepper, events, command = Stepper(valve, float(min(drive.times[0], times[0]))), [], 0
+    shown = []
+    for time in times.tolist():
+        while command < len(drive.times) and drive.times[command] < time:
+            stepper.command(float(drive.times[command]), float(drive.volts[command]))
+            command += 1
+        last = float(stepper._live.block[0])
+        for look in sorted(random.uniform(min(last, time), time, 2)):
+            events += stepper.advance(max(look, drive.times[command - 1] if command else look)).events
+        reading = stepper.advance(time)
+        events += reading.events
+        shown.append((
+            reading.pilot_position, reading.main_position, reading.pilot_velocity, reading.coil_current,
+            reading.attraction, reading.phase, reading.coil_voltage, reading.outlet_pressure, reading.mass_flow,
+        ))  # fmt: skip
+    expected = (
+        whole.pilot_position, whole.main_position, whole.pilot_velocity, whole.coil_current, whole.attraction,
+        whole.phase, whole.coil_voltage, whole.outlet_pressure, whole.mass_flow,
+    )  # fmt: skip
+    for column, values in zip(np.array(shown).T, expected, strict=True):
+        assert np.array_equal(column, np.full(len(times), np.nan) if values is None else values, equal_nan=True)
+    assert tuple(events) == whole.events
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.floats(0.0, 0.03), max_size=12).map(sorted))
+def test_samples_do_not_depend_on_each_other(looks: list[float]) -> None:
+    """Cut invariance: one sample among others is that sample alone."""
+    valve = Valve(
+        CALIBRATED.parameters, {"sensor_bandwidth": {"cutoff_frequency": 900.0}, "sensor_delay": {"delay": 2e-4}}
+    )
+    together = simulate(valve, STROKE, np.array([*looks, 0.031]), start_time=0.0)
+    for look, shown in zip(looks, together.pilot_position, strict=False):
+        assert simulate(valve, STROKE, [look], start_time=0.0).pilot_position[0] == shown
+
+
+def test_the_raw_entry_fills_the_row() -> None:
+    stepper, beside = Live.at_rest(CALIBRATED, 0.0, TOLERANCE), Stepper(CALIBRATED)
+    stepper.step(1e-3, commit=True)
+    stepper.command(9.0)
+    beside.command(1e-3, 9.0)
+    assert stepper.advance(7e-3) == 0
+    reading = beside.advance(7e-3)
+    assert len(stepper.row) == ROW_COLUMNS
+    assert stepper.row[:4].tolist() == [
+        reading.pilot_position, reading.main_position, reading.pilot_velocity, reading.attraction
+    ]  # fmt: skip
+    with pytest.raises(TypeError):
+        stepper.advance("soon")  # type: ignore[arg-type]
+
+
+def test_a_stop_that_moved_inwards_takes_the_plungers_along() -> None:
+    stepper = Stepper(CALIBRATED)
+    stepper.command(0.0, 9.0)
+    assert stepper.advance(0.02).phase is Phase.OPEN
+    stepper.set_valve(CALIBRATED.with_values(stroke=1.1e-3), 0.02)
+    reading = stepper.advance(0.02)
+    assert (reading.pilot_position, reading.phase) == (1.1e-3, Phase.OPEN)
+
+
+def test_a_million_random_steps_stay_finite_and_inside() -> None:
+    valve = Valve(CALIBRATED.parameters, {"stop_bounce": {"restitution_stop": 0.4, "restitution_seat": 0.3}})
+    live, random, time = Live.at_rest(valve, 0.0, TOLERANCE), np.random.default_rng(5), 0.0
+    for command in range(2000):
+        volts = float(random.choice([0.0, 9.0, -9.0, 12.0]))
+        live.step(time, commit=True)
+        live.command(volts)
+        row = live.row
+        for delay in random.uniform(0.0, 1e-4, 50).tolist():
+            time += delay
+            assert live.advance(time) == 0
+            assert -1e-9 <= row[0] <= 1.23e-3 + 1e-9 and np.isfinite(row[:8]).all()
+        if command % 500 == 0:
+            live = live.as_valve(valve, TOLERANCE)
+
+
+def test_a_gap_outside_the_stroke_is_refused_and_changes_nothing() -> None:
+    stepper = Stepper(CALIBRATED)
+    with pytest.raises(SimulationError, match="not inside"):
+        stepper.set_valve(Valve(ValveParameters(pilot_gap=2e-3)), 1e-3)
+    assert stepper.valve is CALIBRATED and stepper.advance(2e-3).phase is Phase.CLOSED

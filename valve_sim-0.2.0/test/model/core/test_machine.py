@@ -1,0 +1,90 @@
+"""Compiled code is kept by its content, in a place that is the user's own, and works where nothing can be kept."""
+
+from __future__ import annotations
+
+import ctypes
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from valve_sim.model.core import machine
+from valve_sim.model.core.machine import made_once
+
+TEXT = "define double @twice(double %x) {\n  %y = fadd double %x, %x\n  ret double %y\n}\n"
+
+
+def call(library: machine.Library) -> float:
+    return float(ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_double)(library.address("twice"))(21.0))
+
+
+def test_code_is_compiled_once_and_loaded_thereafter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("VALVE_SIM_CACHE", str(tmp_path / "new"))
+    made: list[int] = []
+
+    def text() -> str:
+        made.append(1)
+        return TEXT
+
+    for _ in range(3):
+        assert call(machine.library("twice", text)) == 42.0
+    assert len(made) == 1 and len(list((tmp_path / "new").iterdir())) == 1
+    assert call(machine.library("another key", text)) == 42.0
+    assert len(made) == 2
+
+
+def test_a_folder_that_others_can_write_to_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shared = tmp_path / "shared"
+    shared.mkdir()
+    shared.chmod(0o777)
+    monkeypatch.setenv("VALVE_SIM_CACHE", str(shared))
+    assert call(machine.library("twice", lambda: TEXT)) == 42.0
+    assert not list(shared.iterdir())
+
+
+def test_without_any_folder_code_is_held_in_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("VALVE_SIM_CACHE", "relative")
+    assert call(machine.library("twice", lambda: TEXT)) == 42.0
+
+
+def test_every_source_of_the_core_is_part_of_the_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    room = Path(machine.__file__).parent
+    copy = tmp_path / "core"
+    for source in room.rglob("*.py"):
+        there = copy / source.relative_to(room)
+        there.parent.mkdir(parents=True, exist_ok=True)
+        there.write_bytes(source.read_bytes())
+    monkeypatch.setattr(machine, "__file__", str(copy / "machine.py"))
+
+    def digest() -> str:
+        machine.sources.cache_clear()
+        return machine.sources()
+
+    known = {digest()}
+    for source in sorted(copy.rglob("*.py")):
+        source.write_bytes(source.read_bytes() + b"\n")
+        known.add(digest())
+    machine.sources.cache_clear()
+    assert len(known) == 1 + len(list(copy.rglob("*.py")))
+
+
+def test_what_threads_ask_for_at_once_is_made_once_and_kept() -> None:
+    """A second one would take the first one's place, whose code is then freed while a thread runs it."""
+    made, together = [], threading.Barrier(8)
+
+    @made_once
+    def slow(number: int) -> object:
+        made.append(number)
+        time.sleep(0.02)  # not to be right: so that threads which do not wait for each other would be seen
+        return object()
+
+    def ask(number: int) -> object:
+        together.wait()
+        return slow(number % 2)
+
+    with ThreadPoolExecutor(8) as threads:
+        found = list(threads.map(ask, range(8)))
+    assert sorted(made) == [0, 1]
+    assert len({id(one) for one in found}) == 2

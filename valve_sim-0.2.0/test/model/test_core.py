@@ -1,0 +1,200 @@
+"""Published times, energy, cuts, analytic cases, sensors, messages: the core against what is known without it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from valve_sim import model
+from valve_sim.model import (
+    CATALOGUE,
+    Drive,
+    Effect,
+    EventKind,
+    Parameter,
+    ParameterError,
+    Phase,
+    Valve,
+    simulate,
+)  # fmt: skip
+
+from .random_valves import RANGES
+
+STEP = Drive.of([0.0], [9.0])
+CALIBRATED = Valve().with_values(a0=3.0336, coil_time_constant=0.9934e-3)
+LATE = np.linspace(0.0, 0.03, 301)
+
+
+def ballistic(**values: float) -> Valve:
+    """A valve without any attraction but a constant a0 = 1 N, spring or damping."""
+    still = dict.fromkeys(("a1", "a2", "a3", "pilot_damping", "main_damping", "spring_rate", "spring_preload"), 0.0)
+    return Valve().with_values(**{**still, "a0": 1.0, **values})
+
+
+@pytest.mark.parametrize(
+    ("valve", "first", "second"),
+    [
+        (CALIBRATED, 5.300e-3, 9.900e-3),
+        (Valve().with_values(a0=1.5), 5.3205e-3, 10.9214e-3),
+        (Valve().with_values(a0=1.5, main_damping=0.0), 5.3205e-3, 10.6537e-3),
+    ],
+)
+def test_published_times(valve: Valve, first: float, second: float) -> None:
+    response = simulate(valve, STEP, LATE)
+    assert response.first(EventKind.PICKED_UP) == pytest.approx(first, abs=1e-6)
+    assert response.first(EventKind.REACHED_STOP) == pytest.approx(second, abs=1e-6)
+
+
+def test_the_valve_as_printed_stays_closed_for_a_second() -> None:
+    response = simulate(Valve(), STEP, [0.5, 1.0])
+    assert response.events == ()
+    assert np.all(response.phase == Phase.CLOSED)
+
+
+def test_energy_is_conserved_without_losses() -> None:
+    valve = CALIBRATED.with_values(coil_time_constant=0.0, pilot_damping=0.0, main_damping=0.0)
+    times = np.linspace(0.0, 0.0082, 200)
+    response = simulate(valve, STEP, times, tolerance=1e-12)
+    x, d = response.pilot_position, valve.declared()
+    main = response.phase == Phase.MAIN
+    assert main.any()
+    assert not (response.phase == Phase.OPEN).any()
+
+    def work(position):
+        return sum(d[f"a{n}"] * position ** (n + 1) / (n + 1) for n in range(4))
+
+    gap = d["pilot_gap"]
+    kinetic = 0.5 * np.where(main, d["moving_mass"], d["pilot_mass"]) * response.pilot_velocity**2
+    spring = np.where(main, d["spring_preload"] * (x - gap) + 0.5 * d["spring_rate"] * (x**2 - gap**2), 0.0)
+    # At pick-up the velocity is continuous (ratio 1), so the main plunger's mass brings its kinetic energy with it.
+    gained = (d["moving_mass"] / d["pilot_mass"] - 1.0) * work(gap)
+    balance = kinetic + spring - work(x) - np.where(main, gained, 0.0)
+    assert np.abs(balance).max() < 1e-9 * kinetic.max()
+
+
+def test_linear_damping_is_exponential() -> None:
+    times = np.linspace(0.0, 7e-3, 50)
+    response = simulate(ballistic(pilot_damping=30.0), STEP, times)
+    assert np.all(response.phase[1:] == Phase.PILOT)
+    np.testing.assert_allclose(response.pilot_velocity, -np.expm1(-times * 30 / 0.109) / 30, atol=1e-10)
+
+
+def test_event_time_gradient_by_the_implicit_function() -> None:
+    def pick_up(force):
+        return simulate(ballistic(a0=force), STEP, LATE, tolerance=1e-12).first(EventKind.PICKED_UP)
+
+    by_difference = (pick_up(1.001) - pick_up(0.999)) / 0.002
+    time = pick_up(1.0)
+    # dt/dF = −(∂x/∂F) / v at the event.
+    assert by_difference == pytest.approx(-(time**2 / 2 / 0.109) / (time / 0.109), rel=1e-5)
+
+
+def test_friction_sticks_exactly_up_to_its_force() -> None:
+    for force, moves in ((1.0, False), (1.0 + 1e-12, False), (1.0 - 1e-12, True)):
+        valve = Valve(ballistic().parameters, {"coulomb_friction": {"force": force}})
+        assert bool(simulate(valve, STEP, [1.0]).events) is moves
+    held = simulate(Valve(ballistic().parameters, {"coulomb_friction": {"force": 0.4}}),
+                    Drive.of([0.0, 5e-3], [9.0, 0.0]), np.linspace(0, 0.5, 100))  # fmt: skip
+    assert held.events[-1].kind is EventKind.STUCK
+    assert 0 < held.pilot_position[-1] == held.pilot_position[-2]
+
+
+def test_a_heavy_main_plunger_is_held_at_the_gap() -> None:
+    valve = ballistic(spring_preload=2.0, pilot_damping=3000.0)
+    response = simulate(valve, Drive.of([0.0, 1.5], [9.0, 0.0]), np.linspace(0, 1.5, 50))
+    assert response.events[-1].kind is EventKind.HELD_AT_GAP
+    assert response.pilot_position[-1] == valve.parameters.pilot_gap
+
+
+@pytest.mark.parametrize("name", sorted(RANGES))
+def test_every_parameter_of_every_effect_does_something(name: str) -> None:
+    drive = Drive.of([0.0, 0.015], [9.0, 0.0])
+    times = np.linspace(0.0, 0.04, 401)
+    middle = {key: 0.5 * (low + high) for key, (low, high) in RANGES[name].items()}
+    base = simulate(Valve(CALIBRATED.parameters, {name: middle}), drive, times).pilot_position
+    for key, (low, high) in RANGES[name].items():
+        other = {**middle, key: 0.75 * high + 0.25 * low}
+        moved = simulate(Valve(CALIBRATED.parameters, {name: other}), drive, times).pilot_position
+        assert np.abs(moved - base).max() > 1e-9, key
+
+
+def test_a_registered_effect_acts_as_the_built_in_one() -> None:
+    def pull_up(x: float, v: float, u: float, t: float, newtons: float) -> float:
+        return newtons
+
+    CATALOGUE.register(Effect("pull_up", "mine", (Parameter("newtons", "N", "up"),), "test", term=pull_up))
+    try:
+        mine = Valve(CALIBRATED.parameters, {"pull_up": {"newtons": 0.2}})
+        simulated = simulate(mine, STEP, LATE)
+    finally:
+        CATALOGUE.unregister("pull_up")
+    theirs = Valve(CALIBRATED.parameters, {"constant_force": {"force": 0.2}})
+    np.testing.assert_allclose(simulated.pilot_position, simulate(theirs, STEP, LATE).pilot_position, atol=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"valve": {"pilot_mas": 1.0}}, ("pilot_mas", "pilot_mass")),
+        ({"valve": {"pilot_mass": "heavy"}}, ("valve.pilot_mass", "heavy", "number")),
+        ({"valve": {"pilot_mass": 0}}, ("valve.pilot_mass", "0", "above 0")),
+        ({"valve": {"pilot_gap": 2e-3}}, ("pilot_gap", "0.002", "stroke")),
+        ({"valve": {"attraction_polynomial": [1, 2, 3]}}, ("attraction_polynomial", "3 terms", "four")),
+        ({"effects": {"coulomb_friktion": {"force": 1}}}, ("coulomb_friktion", "coulomb_friction")),
+        ({"effects": {"coulomb_friction": {}}}, ("force", "missing")),
+    ],
+)
+def test_bad_parameters_are_named(values: dict, words: tuple[str, ...]) -> None:
+    with pytest.raises(ParameterError) as caught:
+        Valve.from_mapping(values, "bad.yaml")
+    message = str(caught.value)
+    assert "\n" not in message
+    assert all(word in message for word in ("bad.yaml", *words))
+
+
+@pytest.mark.parametrize("time_constant", [1e-300, 1e-12, 1e-9, 1.9e-8, 2e-8])
+def test_a_coil_too_fast_to_integrate_heats_too(time_constant: float) -> None:
+    effects = {"coil_heating": {"temperature_rate": 100.0, "cooling_time_constant": 5.0}}
+    fast, instant = (
+        Valve(CALIBRATED.with_values(coil_time_constant=tau).parameters, effects) for tau in (time_constant, 0.0)
+    )
+    opened = [simulate(valve, STEP, LATE).first(EventKind.REACHED_STOP) for valve in (fast, instant)]
+    assert opened[0] == pytest.approx(opened[1], abs=2.0 * time_constant + 1e-9)
+
+
+def test_a_time_constant_whose_reciprocal_overflows_is_none() -> None:
+    shortest, none = (
+        simulate(CALIBRATED.with_values(coil_time_constant=constant), STEP, LATE) for constant in (2e-311, 0.0)
+    )
+    assert shortest.first(EventKind.REACHED_STOP) == pytest.approx(none.first(EventKind.REACHED_STOP), abs=1e-9)
+
+
+@pytest.mark.parametrize("time_constant", [0.0, 1e-7, 0.9934e-3, 5e-2])
+@pytest.mark.parametrize("spacing", ["even", "rounded stamps", "jittered", "twice at one time"])
+def test_currents_follow_the_exponential_however_samples_are_spaced(time_constant: float, spacing: str) -> None:
+    """Each current follows from the one before while intervals are alike, through commands and long rests too."""
+    times = np.arange(3000) / 18_000.0
+    if spacing == "rounded stamps":
+        times = np.round(times, 9)
+    elif spacing == "jittered":
+        times = np.sort(times + np.random.default_rng(1).uniform(-4e-5, 4e-5, len(times)))
+    elif spacing == "twice at one time":
+        times = np.repeat(times[::2], 2)
+    commands, volts = [2e-3, 40e-3, 60.0001e-3], [9.0, -4.5, 0.0]
+    valve = CALIBRATED.with_values(coil_time_constant=time_constant)
+    shown = simulate(valve, Drive.of(commands, volts), times, start_time=-1e-3).coil_current / 0.9
+    expected, start = np.zeros(len(times)), 0.0
+    for begin, end, target in zip(commands, [*commands[1:], np.inf], np.array(volts) / 9.0, strict=True):
+        powered = times >= begin
+        left = np.exp(-(times[powered] - begin) / time_constant) if time_constant else np.zeros(powered.sum())
+        expected[powered] = target + (start - target) * left
+        start = target + (start - target) * (math.exp(-(end - begin) / time_constant) if time_constant else 0.0)
+    at_command = np.isclose(times[:, None], commands, rtol=0.0, atol=1e-12).any(axis=1)
+    assert np.abs(shown - expected)[~at_command].max() < 1e-12
+
+
+def test_every_name_of_the_model_is_loaded_when_asked_for() -> None:
+    assert [name for name in model.__all__ if getattr(model, name, None) is None] == []
+    assert not hasattr(model, "simulat")

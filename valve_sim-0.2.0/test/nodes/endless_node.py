@@ -1,0 +1,52 @@
+"""A node with an endless calculation in place of its own, for tests of how it ends.
+
+    python endless_node.py NODE --ros-args -p ...
+
+It says "calculating" when that has begun.
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from typing import Any, NoReturn
+
+PLACES = {
+    "valve_node": "nodes.valve:load_stepper",
+    "monitor_node": "nodes.monitor_work:isolate_fault",
+    "identification_node": "nodes.identification:fit_or_diagnose",
+    "dispenser_node": "station.dispenser:Dispenser.prepare",
+    "command_profile": "nodes.profile:checked_profile",
+}
+"""Module and name of what each node calculates."""
+
+
+def calculate(*arguments: object) -> NoReturn:
+    print("calculating", flush=True)
+    while True:
+        sum(range(1000))
+
+
+def search_at_once() -> None:
+    """Have the monitor look for a fault from its start on."""
+    from valve_sim.identification.monitoring.findings import Occasion
+    from valve_sim.nodes.monitor import MonitorNode
+
+    def prepare(self: Any) -> None:
+        self._isolation.begin([], None, Occasion("/valve", 0, 0))
+
+    MonitorNode._prepare = prepare  # type: ignore[method-assign]
+
+
+if __name__ == "__main__":
+    node = sys.argv.pop(1)
+    module, _, names = PLACES[node].partition(":")
+    owner: Any = importlib.import_module(f"valve_sim.{module}")
+    *owners, name = names.split(".")
+    for part in owners:
+        owner = getattr(owner, part)
+    setattr(owner, name, calculate)
+    if node == "monitor_node":
+        search_at_once()
+    package = "station" if node == "dispenser_node" else "nodes"
+    raise SystemExit(getattr(importlib.import_module(f"valve_sim.{package}.__main__"), node)())

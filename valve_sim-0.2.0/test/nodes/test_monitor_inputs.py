@@ -1,0 +1,187 @@
+"""In which order monitor_node takes what waits for it, on queues in place of a middleware's."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any
+
+import pytest
+
+pytestmark = pytest.mark.ros
+pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
+
+from rclpy.serialization import serialize_message  # noqa: E402
+from sensor_msgs.msg import BatteryState, FluidPressure, JointState  # noqa: E402
+from std_msgs.msg import Float64  # noqa: E402
+
+from valve_sim.nodes.monitor_inputs import MonitorInputs, Takers  # noqa: E402
+from valve_sim.nodes.realtime import Arrival, ClockReading  # noqa: E402
+
+ENDS = ("inlet_pressure", "demand_pressure")
+
+
+class Queue:
+    """A subscription; its own handle, too."""
+
+    def __init__(self, message_type: type, topic: str, callback: Any, *, raw: bool) -> None:
+        self.msg_type, self.topic_name, self.callback, self.raw = message_type, topic, callback, raw
+        self.handle, self._waiting = self, deque[tuple[Any, dict[str, int]]]()
+
+    def put(self, message: Any) -> None:
+        self._waiting.append((serialize_message(message) if self.raw else message, {"received_timestamp": 77}))
+
+    def take_message(self, message_type: type, raw: bool) -> Any:
+        return self._waiting.popleft() if self._waiting else None
+
+
+class Node:
+    """Of a node what `MonitorInputs` uses."""
+
+    executor = None
+
+    def __init__(self) -> None:
+        self.queues: dict[str, Queue] = {}
+
+    def create_subscription(
+        self,
+        message_type: type,
+        topic: str,
+        callback: Any,
+        qos: Any,
+        *,
+        raw: bool,
+        callback_group: Any,
+        event_callbacks: Any,
+    ) -> Queue:
+        self.queues[topic] = Queue(message_type, topic, callback, raw=raw)
+        return self.queues[topic]
+
+    def create_timer(self, period: float, callback: Any, clock: Any) -> None:
+        pass
+
+    def resolve_topic_name(self, topic: str) -> str:
+        return topic
+
+    def destroy_subscription(self, queue: Queue) -> None:
+        del self.queues[queue.topic_name]
+
+
+class Clock:
+    """Not a simulated one."""
+
+    is_simulated = False
+
+    def read(self) -> ClockReading:
+        return ClockReading(0, False)
+
+    def when_exchanged(self, call: Any) -> None:
+        pass
+
+    def stamp_of(self, arrival: Arrival) -> int:
+        return arrival.received
+
+
+class Heard:
+    """A monitor's inputs, and what came of them, in order."""
+
+    def __init__(self, measured: str) -> None:
+        self.node, self.taken = Node(), list[tuple[Any, ...]]()
+
+        def note(kind: str) -> Any:
+            return lambda *values: self.taken.append((kind, *values))
+
+        take = Takers(*(note(kind) for kind in ("command", "position", "coil", "outlet", "end", "rejected")))
+        node: Any = self.node
+        clock: Any = Clock()
+        self.inputs = MonitorInputs(node, clock, "/valve", f"/valve/{measured}", {}, take, has_gas=True)
+
+    def put(self, topic: str, pressure: float, stamp: int = 0) -> None:
+        message = FluidPressure(fluid_pressure=pressure)
+        message.header.stamp.nanosec = stamp
+        self.node.queues[f"/valve/{topic}"].put(message)
+
+    def put_sample(self, topic: str = "joint_states", stamp: int = 5) -> None:
+        joints = JointState(name=["pilot_plunger"], position=[0.0])
+        joints.header.stamp.nanosec = stamp
+        self.node.queues[f"/valve/{topic}"].put(joints)
+
+    def sample(self, topic: str = "joint_states") -> None:
+        self.put_sample(topic)
+        assert self.inputs.inbox.deliver()
+
+
+def test_a_sample_is_taken_after_all_pressures_that_were_heard_before_it() -> None:
+    """One for each pass of an executor, they came to lag by minutes behind the samples of a line at 20 to 100 Hz."""
+    heard = Heard("joint_states")
+    for stamp in range(1, 101):
+        heard.put("outlet_pressure", 2e6 + stamp, stamp)
+    heard.put("demand_pressure", 14e6, 3)
+    heard.put("inlet_pressure", 26e6)  # without a stamp: when it was received
+    heard.sample()
+    assert heard.taken[:100] == [("outlet", stamp, 2e6 + stamp) for stamp in range(1, 101)]
+    assert set(heard.taken[100:102]) == {("end", "demand_pressure", 3, 14e6), ("end", "inlet_pressure", 77, 26e6)}
+    assert heard.taken[102:] == [("position", 5, 0.0, 77)]
+
+
+def test_what_a_simulated_valve_obeys_counts_in_place_of_what_it_is_told() -> None:
+    heard = Heard("joint_states")
+    heard.put("demand_pressure", 14e6, 1)
+    heard.put("obeyed/demand_pressure", 13e6, 4)
+    heard.put("inlet_pressure", 26e6, 1)
+    heard.sample()
+    heard.put("obeyed/demand_pressure", 12e6, 6)
+    heard.put("inlet_pressure", 25e6, 2)
+    heard.sample()
+    ends = {end: [taken[2:] for taken in heard.taken if taken[:2] == ("end", end)] for end in ENDS}
+    assert ends == {"demand_pressure": [(1, 14e6), (4, 13e6), (6, 12e6)], "inlet_pressure": [(1, 26e6), (2, 25e6)]}
+    assert "/valve/demand_pressure" not in heard.node.queues and "/valve/inlet_pressure" in heard.node.queues
+
+
+def test_beside_a_real_valve_its_sensors_count_and_no_simulation() -> None:
+    heard = Heard("measured/joint_states")
+    assert not any("obeyed" in topic for topic in heard.node.queues)
+    heard.put("inlet_pressure", 26e6, 1)
+    heard.put("measured/inlet_pressure", 25e6, 2)
+    heard.put("measured/outlet_pressure", 3e6, 3)
+    heard.sample("measured/joint_states")
+    assert set(heard.taken[:-1]) == {
+        ("end", "inlet_pressure", 1, 26e6),
+        ("end", "inlet_pressure", 2, 25e6),
+        ("outlet", 3, 3e6),
+    }
+    assert "/valve/inlet_pressure" not in heard.node.queues
+
+
+def test_a_message_that_is_no_pressure_is_rejected() -> None:
+    heard = Heard("joint_states")
+    queue = heard.node.queues["/valve/outlet_pressure"]
+    queue.callback(b"\x00\x01\x00\x00", {})
+    assert heard.inputs.inbox.deliver()
+    assert [taken[0] for taken in heard.taken] == ["rejected"]
+
+
+def test_without_an_executor_all_samples_are_taken_after_what_was_heard_before_them() -> None:
+    heard = Heard("joint_states")
+    assert not heard.inputs.inbox.deliver()
+    heard.put("outlet_pressure", 2e6, 1)
+    heard.node.queues["/valve/coil_voltage"].put(Float64(data=9.0))
+    for stamp in (5, 6, 7):
+        heard.put_sample(stamp=stamp)
+    for stamp in (8, 9):
+        coil = BatteryState(current=0.5, voltage=9.0)
+        coil.header.stamp.nanosec = stamp
+        heard.node.queues["/valve/coil"].put(coil)
+    heard.node.queues["/valve/coil_current"].put(Float64(data=0.25))
+    assert heard.inputs.inbox.deliver()
+    unstamped = ("coil", 77, 0.25)
+    assert [taken[:3] for taken in heard.taken if taken[:3] != unstamped] == [
+        ("outlet", 1, 2e6),
+        ("command", 77, 9.0),
+        *(("position", stamp, 0.0) for stamp in (5, 6, 7)),
+        *(("coil", stamp, 0.5) for stamp in (8, 9)),
+    ]
+    assert "/valve/coil_current" not in heard.node.queues, "the stamped one is heard in its place"
+    heard.put_sample(stamp=10)
+    assert heard.inputs.inbox.deliver()
+    assert heard.taken[-1][:2] == ("position", 10)
+    assert not heard.inputs.inbox.deliver()

@@ -1,0 +1,349 @@
+"""monitor_node as a user meets it: beside a running valve_node that wears, and beside one that sticks."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import signal
+import subprocess
+import time
+from collections.abc import Iterator
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from identification.live_strokes import LiveValve
+
+from valve_sim.files.parameter_files import load_valve
+from valve_sim.records.calibration import load_changes, save_record
+
+from .dumps import TOLERATED, dump
+from .plant_on_topics import PlantOnTopics
+from .ros_process import ENDS_WITHIN, PATIENCE, Probe, piped, running
+from .test_calibration_watch import signed
+
+pytestmark = pytest.mark.ros
+pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
+
+import rclpy  # noqa: E402
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
+from std_msgs.msg import Float64, String  # noqa: E402
+from std_srvs.srv import Trigger  # noqa: E402
+
+FEW = 8
+"""Commissioning strokes, the fewest that are allowed."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def ros(in_own_domain: None) -> Iterator[None]:
+    rclpy.init()
+    yield
+    rclpy.try_shutdown()
+
+
+@pytest.fixture
+def probe(ros: None) -> Iterator[Probe]:
+    probe = Probe("/valve")
+    yield probe
+    probe.close()
+
+
+def monitoring(folder: Path, **parameters: object) -> contextlib.AbstractContextManager[subprocess.Popen[str]]:
+    """monitor_node while inside."""
+    given: dict[str, object] = {"commissioning_strokes": FEW, "measured": "joint_states", **parameters}
+    return piped(folder, ("-m", "valve_sim.nodes", "monitor_node"), **given)
+
+
+class Ears:
+    """What the monitor says, and a hand on the valve."""
+
+    def __init__(self, probe: Probe) -> None:
+        self.probe = probe
+        self.reports = probe.hear("/monitor/stroke_report", String)
+        self.findings = probe.hear("/monitor/finding", DiagnosticArray, latched=True)
+        self.diagnostics = probe.hear("/diagnostics", DiagnosticArray)
+        self.voltage = probe.talker("coil_voltage", Float64)
+
+    def is_said(self, task: str, level: int, words: str = "") -> bool:
+        """Whether a status of this task has had this level and words."""
+        return any(
+            status.level == bytes([level]) and words in status.message
+            for message in self.diagnostics
+            for status in message.status
+            if status.name == f"monitor: {task}"
+        )
+
+    def speaks(self) -> bool:
+        """Whether the monitor itself has said something: a valve beside it has its own diagnostics."""
+        return any(status.name == "monitor: input" for message in self.diagnostics for status in message.status)
+
+    def input_counts(self) -> tuple[int, int]:
+        """How many samples were taken and how many rejected, as was said last."""
+        said = [s for message in self.diagnostics for s in message.status if s.name == "monitor: input"]
+        values = {pair.key: pair.value for pair in said[-1].values}
+        return int(values["samples"]), int(values["rejected"])
+
+    def ready(self) -> None:
+        """Wait until the valve runs and the monitor hears it: it then waits for a command only."""
+        assert self.probe.until(lambda: self.voltage.get_subscription_count() == 2)
+        assert self.probe.until(lambda: self.is_said("input", 1, "waiting for a command")), "no samples are heard"
+
+    def stroke(self, volts: float = 9.0) -> None:
+        """Open and close; 30 ms and 90 ms, give or take what else the machine does."""
+        self.voltage.publish(Float64(data=volts))
+        self.probe.spin_for(0.03)
+        self.voltage.publish(Float64(data=0.0))
+        self.probe.spin_for(0.09)
+
+    def strokes(self, count: int) -> list[Any]:
+        """So many strokes; their reports."""
+        before = len(self.reports)
+        for index in range(count):
+            self.stroke(9.0 + index % 3)
+        assert self.probe.until(lambda: len(self.reports) >= before + count), "a stroke was not reported"
+        return [json.loads(report.data) for report in self.reports[before:]]
+
+
+LAB = """
+command: {topic: /plc/volts, unit: mV}
+position: {topic: /plc/joints, joint: lift_2, unit: mm, sign: -1, offset: 2.0}
+"""
+
+
+class Relayed:
+    """A talker that says the same on another topic, in a layout of the lab's own."""
+
+    def __init__(self, talker: Any, said: Any) -> None:
+        self._talker, self._said = talker, said
+        self.get_subscription_count = talker.get_subscription_count
+
+    def publish(self, message: Any) -> None:
+        self._talker.publish(self._said(message))
+
+
+def lab_joints(message: Any) -> Any:
+    return JointState(header=message.header, name=["lift_1", "lift_2"], position=[0.0, 2.0 - 1e3 * message.position[0]])
+
+
+@pytest.mark.any_distribution
+def test_a_valve_with_topics_and_units_of_its_own_is_watched_by_a_map(probe: Probe, tmp_path: Path) -> None:
+    (tmp_path / "lab.yaml").write_text(LAB)
+    plant = PlantOnTopics(probe, LiveValve(seed=5, rate=5e3, jitter=0.0))
+    plant._samples = Relayed(probe.talker("/plc/joints", JointState, 1000), lab_joints)
+    plant._voltage = Relayed(probe.talker("/plc/volts", Float64), lambda message: Float64(data=1e3 * message.data))
+    ears = Ears(probe)
+    with monitoring(tmp_path, map=tmp_path / "lab.yaml", use_sim_time=True, max_rate=1e5) as process:
+        plant.wait_for_monitor()
+        before = len(plant.residuals)
+        reports = plant.strokes(3)
+        assert len(reports) < 3, "a stroke is over when the valve has rested, or strokes again"
+        reports += plant.rest(3)
+        assert [report["opened"] and report["closed"] for report in reports] == [True, True, True]
+        residual = np.array([message.data for message in plant.residuals[before:]])
+        assert np.sqrt(np.mean(residual**2)) == pytest.approx(1e-6, rel=0.2)
+        assert probe.insist(
+            lambda: plant._samples.publish(JointState(position=[-1.0])),
+            lambda: ears.is_said("input", 1, "/plc/joints: -1 m, expected metres"),
+        )
+        process.send_signal(signal.SIGINT)
+        assert process.wait(ENDS_WITHIN) == 0
+
+
+@pytest.mark.long
+@pytest.mark.any_distribution
+def test_friction_that_appears_in_a_real_valve_is_warned_of_and_named(probe: Probe, tmp_path: Path) -> None:
+    plant = PlantOnTopics(probe, LiveValve(seed=5, rate=5e3, jitter=0.0))
+    findings = probe.hear("/monitor/finding", DiagnosticArray, latched=True)
+    ears = Ears(probe)
+    given: dict[str, object] = {"measured": "measured/joint_states", "use_sim_time": True, "max_rate": 1e5}
+    # One declared value, as it is shipped: the others are then exact, and the tracing takes two fifths of the time.
+    with monitoring(tmp_path, **given, **{"valve.pilot_mass": 0.109}) as process:
+        plant.wait_for_monitor()
+        reports = plant.strokes(FEW)
+        before = len(plant.residuals)
+        reports += plant.strokes(8)
+        assert [report["state"] for report in reports] == ["commissioning"] * FEW + ["watching"] * (len(reports) - FEW)
+        assert all(report["opened"] and report["closed"] for report in reports)
+        assert not any(report["alarm"]["raised"] for report in reports)
+        assert plant.predicted[-1].name == ["pilot_plunger", "main_plunger"]
+        residual = np.array([message.data for message in plant.residuals[before:]])
+        assert np.sqrt(np.mean(residual**2)) == pytest.approx(1e-6, rel=0.1)
+        reports = plant.strokes(10, {"coulomb_friction": {"force": 0.3}})
+        assert any(report["alarm"]["raised"] for report in reports[:5])
+        assert probe.until(lambda: ears.is_said("valve", 1, "not those of the commissioned valve"))
+        assert probe.until(lambda: findings, 2 * PATIENCE), "the fault was not isolated"
+        (status,) = findings[0].status
+        finding, summary = {item.key: item.value for item in status.values}, status.message
+        assert (status.name, status.level) == ("monitor: finding", b"\x01")
+        assert (finding["kind"], finding["effects"]) == ("effects", "coulomb_friction")
+        assert float(finding["parameters.coulomb_friction.force.value"]) == pytest.approx(0.3, abs=0.05)
+        assert ": Coulomb friction 0.3" in summary
+        assert summary.startswith(f"/valve, stroke {finding['stroke']} at 1970-01-01T00:00:")
+        assert f"; probability {100 * float(finding['probability']):.0f} %" in summary or "> 99 %" in summary
+        (last,) = (report for report in reports if report["stroke"] == int(finding["stroke"]))
+        assert (last["valve"], last["time"]) == (finding["valve"], float(finding["time"]))
+        stamp = findings[0].header.stamp
+        assert last["time"] == pytest.approx(stamp.sec + 1e-9 * stamp.nanosec)
+        assert 10.0 < last["time"] < 100.0, "of /clock, which begins with the tenth second"
+        assert probe.until(lambda: ears.is_said("valve", 1, summary)), "the same words on /diagnostics"
+        # Again with more strokes: the same name is on the topic with its new figures, and not logged again.
+        plant.strokes(8, {"coulomb_friction": {"force": 0.3}})
+        assert probe.until(lambda: len(findings) > 1, 2 * PATIENCE), "no second finding"
+        told = [message.status[0].message for message in findings]
+        process.send_signal(signal.SIGTERM)
+        _, said = process.communicate(timeout=ENDS_WITHIN)
+        assert process.returncode == 0
+        assert said.count(told[0]) == 1
+        assert not any(words in said for words in told[1:] if words != told[0])
+
+
+@pytest.mark.any_distribution
+def test_what_commissioning_found_survives_a_restart_until_it_is_asked_for_anew(probe: Probe, tmp_path: Path) -> None:
+    state = tmp_path / "kept" / "tank.json"
+    plant = PlantOnTopics(probe, LiveValve(seed=5, rate=5e3, jitter=0.0))
+    numbers = probe.hear("/monitor/stroke_diagnostics", DiagnosticArray)
+    given = {"measured": "measured/joint_states", "use_sim_time": True, "max_rate": 1e5, "state": str(state)}
+    with monitoring(tmp_path, **given) as process:
+        plant.wait_for_monitor()
+        reports = {report["stroke"]: report for report in plant.strokes(FEW + 3)}
+        assert probe.until(lambda: state.exists() and numbers_of(FEW + 1, numbers))
+        values = numbers_of(FEW + 1, numbers)
+        assert float(values["t2 (ms)"]) == pytest.approx(1e3 * reports[FEW + 1]["t2"], rel=1e-4)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(ENDS_WITHIN) == 0
+    plant.predicted.clear()
+    with monitoring(tmp_path, **given):
+        plant.wait_for_monitor()
+        assert {report["state"] for report in plant.strokes(3)} == {"watching"}
+        client = probe.node.create_client(Trigger, "/monitor/recommission")
+        assert probe.until(client.service_is_ready)
+        assert probe.answers([client], Trigger.Request())[0].success
+        assert probe.until(lambda: not state.exists())
+        assert plant.strokes(3)[-1]["state"] == "commissioning"
+
+
+def numbers_of(stroke: int, heard: list[Any]) -> dict[str, str]:
+    """What ~/stroke_diagnostics has said of one stroke; empty if nothing yet."""
+    said = [{pair.key: pair.value for pair in message.status[0].values} for message in heard]
+    return next((values for values in said if values["stroke"] == f"{stroke}"), {})
+
+
+@pytest.fixture(scope="module")
+def valve(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """One valve_node for all tests that leave its parameters as they were."""
+    with running(tmp_path_factory.mktemp("valve")):
+        yield
+
+
+def test_a_stuck_valve_is_an_error(valve: None, probe: Probe, tmp_path: Path) -> None:
+    ears = Ears(probe)
+    with monitoring(tmp_path):
+        ears.ready()
+        ears.strokes(2)
+        own = probe.parameters()["valve.seat_load"]
+        assert probe.set_parameters(valve__seat_load=100.0)[0].successful
+        # Held for as long as it takes: the monitor is the more patient, the later this machine is.
+        ears.voltage.publish(Float64(data=9.0))
+        assert probe.until(lambda: ears.is_said("valve", 2, "did not open"))
+        before = len(ears.reports)
+        ears.voltage.publish(Float64(data=0.0))
+        assert probe.until(lambda: len(ears.reports) > before), "the stroke was not reported"
+        report = json.loads(ears.reports[-1].data)
+        assert report["opened"] is False
+        assert "did not open" in report["fault"]
+    assert probe.set_parameters(valve__seat_load=own)[0].successful
+
+
+@pytest.mark.any_distribution
+def test_with_the_topic_of_the_coil_a_valve_is_watched_by_its_current_alone(
+    valve: None, probe: Probe, tmp_path: Path
+) -> None:
+    ears = Ears(probe)
+    with monitoring(tmp_path, measured="coil"):
+        ears.ready()
+        (report,) = ears.strokes(1)
+        topics = [f"{probe.target}/{name}" for name in ("coil", "coil_current")]
+        assert probe.until(lambda: [probe.node.count_subscribers(topic) for topic in topics] == [1, 0]), "hears both"
+    assert "residual_rms_ma" in report
+    assert "residual_rms_um" not in report
+    assert report["fault"] is None
+
+
+@pytest.mark.any_distribution
+def test_bad_samples_are_counted_and_harm_nothing(probe: Probe, tmp_path: Path) -> None:
+    ears = Ears(probe)
+    samples = probe.talker("measured/joint_states", JointState)
+    with monitoring(tmp_path, measured="measured/joint_states"):
+        assert probe.until(lambda: samples.get_subscription_count() == 1)
+        # The monitor takes sensors of any reliability: what comes before it has found this publisher is lost.
+        assert probe.insist(
+            lambda: samples.publish(joints(["pilot_plunger"], [0.0])),
+            lambda: ears.is_said("input", 1, "waiting for a command"),
+        )
+        heard = ears.input_counts()[0]
+        samples.publish(joints(["pilot_plunger"], [float("nan")]))
+        samples.publish(joints(["elbow"], [0.0]))
+        samples.publish(joints(["pilot_plunger"], []))
+        samples.publish(joints(["main_plunger", "pilot_plunger"], [0.0, 1e-6]))
+        assert probe.until(lambda: sum(ears.input_counts()) == heard + 4), "a message was not counted"
+        assert ears.input_counts() == (heard + 1, 3)
+
+
+def joints(names: list[str], positions: list[float]) -> JointState:
+    message = JointState(name=names, position=positions)
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(time.time_ns(), 1_000_000_000)
+    return message
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_with_code_0(probe: Probe, tmp_path: Path, number: signal.Signals) -> None:
+    ears = Ears(probe)
+    with monitoring(tmp_path) as process:
+        assert probe.until(ears.speaks)
+        process.send_signal(number)
+        assert process.wait(ENDS_WITHIN) == 0
+        assert process.stderr is not None
+        assert "Traceback" not in process.stderr.read()
+
+
+def test_its_parameters_are_dumped_as_a_file_of_the_same_valve(ros: None, tmp_path: Path) -> None:
+    path = tmp_path / "tolerances.yaml"
+    path.write_text(TOLERATED)
+    declared = load_valve(path)
+    monitor = Probe("/monitor")
+    try:
+        arguments = ["--ros-args", "-p", "valve_node:=/tank_1/valve", "--params-file", str(path)]
+        with running(tmp_path, arguments, "monitor_node") as process:
+            values = monitor.parameters()
+            assert monitor.until(lambda: "hears /tank_1/valve/coil_voltage" in process.output)
+    finally:
+        monitor.close()
+    assert values["valve_node"] == "/tank_1/valve"
+    assert load_valve(dump(values, tmp_path / "dump.yaml", "/monitor")) == declared
+
+
+def test_the_former_name_of_the_watched_node_counts_and_is_warned_of(ros: None, probe: Probe, tmp_path: Path) -> None:
+    with running(tmp_path, ["--ros-args", "-p", "valve:=/tank_1/valve"], "monitor_node") as process:
+        assert probe.until(lambda: "hears /tank_1/valve/coil_voltage" in process.output)
+        assert "parameter valve is called valve_node now" in process.output
+
+
+@pytest.mark.any_distribution
+def test_an_expired_calibration_is_a_warning_and_another_declared_value_goes_to_its_journal(
+    probe: Probe, tmp_path: Path
+) -> None:
+    path = tmp_path / "calibration.json"
+    save_record(path, signed(tmp_path, datetime(2020, 1, 1, tzinfo=timezone.utc)))
+    ears = Ears(probe)
+    with monitoring(tmp_path, calibration=path, **{"valve.spring_rate": 431.0}) as process:
+        words = "the calibration of SN-7 expired on 2020-12-31; calibrate it anew"
+        assert probe.until(lambda: ears.is_said("calibration", 1, words))
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=ENDS_WITHIN)
+        assert process.returncode == 0
+    assert said.count(words) == 1
+    assert "changed since the calibration: valve.spring_rate 428.0 → 431.0" in said
+    assert ("valve.spring_rate", 428.0, 431.0) in [change[2:] for change in load_changes(path)]

@@ -1,0 +1,312 @@
+"""Keeping pace, without ROS and without waiting: every clock here is moved by hand."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from valve_sim.nodes.realtime import (
+    ClockReading,
+    Decimator,
+    Restart,
+    Schedule,
+    SubscriberCounts,
+    TimedQueue,
+    TimingRecord,
+    Worker,
+    why_restart,
+)
+
+MILLISECOND = 1_000_000
+SECOND = 1_000_000_000
+
+
+@pytest.mark.parametrize("rate", [1.0, 300.0, 999.9, 1000.0, 7919.0])
+def test_every_deadline_is_handed_out_once_and_none_drifts(rate: float) -> None:
+    generator = np.random.default_rng(1)
+    schedule, now, times = Schedule(rate, 17), 17, []
+    while now < 20 * SECOND:
+        assert schedule.drop_overdue(now) == 0
+        while schedule.next <= now:
+            times.append(schedule.take())
+        now += int(generator.integers(1, 400 * MILLISECOND))
+    assert times == [17 + round(k * SECOND / rate) for k in range(len(times))]
+
+
+def test_of_a_long_backlog_the_newest_half_second_is_made_up_for() -> None:
+    schedule = Schedule(1000.0, 0)
+    assert schedule.backlog == SECOND // 2
+    assert schedule.drop_overdue(2 * SECOND) == 2001 - 500
+    assert schedule.drop_overdue(2 * SECOND) == 0
+    assert [schedule.take() for _ in range(500)] == [k * MILLISECOND for k in range(1501, 2001)]
+    assert schedule.next == 2 * SECOND + MILLISECOND
+
+
+def test_a_slow_rate_still_gets_its_newest_deadline() -> None:
+    schedule = Schedule(0.1, 0)
+    assert (schedule.drop_overdue(35 * SECOND), schedule.take(), schedule.next) == (3, 30 * SECOND, 40 * SECOND)
+
+
+@pytest.mark.parametrize(
+    ("last", "now", "why"),
+    [
+        (None, (5, False), ""),
+        ((5, False), (5, False), None),
+        ((5, True), (4, True), "the clock jumped back by 1e-09 s"),
+        ((5, True), (5 + 60 * SECOND, True), None),
+        ((0, True), (61 * SECOND, True), "the clock jumped ahead by 61 s"),
+        ((5, True), (6, False), "use_sim_time was changed"),
+    ],
+)
+def test_when_a_clock_cannot_be_followed(last: tuple[int, bool] | None, now: tuple[int, bool], why: str | None) -> None:
+    before = None if last is None else ClockReading(*last)
+    assert why_restart(before, ClockReading(*now)) == why
+
+
+def test_timing_counts_rate_lateness_overruns_and_losses() -> None:
+    record = TimingRecord()
+    first = record.look(0)
+    assert math.isnan(first.rate)
+    assert math.isnan(first.lateness)
+    for index in range(1000):
+        record.note(2 * MILLISECOND if index >= 990 else 1000, MILLISECOND)
+    record.note_lost(7)
+    timing = record.look(SECOND)
+    assert timing.rate == 1000.0
+    assert timing.lateness == 2e-3
+    assert (timing.overruns, timing.lost, timing.lost_now) == (10, 7, 7)
+    assert (timing.steps_now, timing.overruns_now) == (1000, 10)
+    assert record.look(2 * SECOND)[2:] == (10, 7, 0, 0, 0)
+
+
+def test_requests_are_delivered_in_order_when_their_time_has_come() -> None:
+    queue, got = TimedQueue(), []
+    for time in (0, 5, 9):
+        queue.post(time, "command", lambda time, volts: got.append((time, volts)), 9.0)
+    queue.deliver(3, 8)
+    assert got == [(3, 9.0), (5, 9.0)]
+    queue.clear()
+    queue.deliver(0, 100)
+    assert got == [(3, 9.0), (5, 9.0)]
+
+
+def test_requests_of_one_time_are_one_of_each_kind_in_the_order_of_their_last() -> None:
+    queue, got = TimedQueue(), []
+
+    def post(time: int, kind: str, value: float, **how: Any) -> None:
+        queue.post(time, kind, lambda time, value: got.append((time, kind, value)), value, **how)
+
+    for volts in range(10_000):
+        post(7, "command", volts)
+        post(7, "pressure", -volts)
+    assert len(queue) == 2
+    for limit in (7.0, 30.0, 20.0):
+        post(8, "limit", limit, merge=min)
+    post(8, "command", 5.0)
+    post(8, "limit", 30.0, merge=min)
+    post(8, "reset", 0.0, voids=("command",))
+    queue.deliver(0, 9)
+    assert got == [(7, "command", 9999), (7, "pressure", -9999), (8, "limit", 7.0), (8, "reset", 0.0)]
+    assert len(queue) == 0
+
+
+def test_requests_that_come_late_are_delivered_in_the_order_of_their_times() -> None:
+    queue, got = TimedQueue(), []
+    for time, kind in ((5, "reset"), (9, "valve"), (3, "command"), (5, "command"), (7, "command")):
+        queue.post(time, kind, lambda time, kind: got.append((time, kind)), kind)
+    queue.deliver(0, 10)
+    assert got == [(3, "command"), (5, "reset"), (5, "command"), (7, "command"), (9, "valve")]
+
+
+def test_a_queue_that_nobody_empties_is_bounded_and_keeps_what_holds_in_the_end() -> None:
+    queue, got = TimedQueue(), []
+    queue.post(0, "limit", lambda time, value: got.append(("limit", value)), 8.0)
+    for time in range(1, 3 * TimedQueue.MOST):
+        kind = "command" if time % 2 else "pressure"
+        queue.post(time, kind, lambda time, value: got.append((time, value)), time)
+    assert len(queue) == TimedQueue.MOST
+    queue.deliver(0, 3 * TimedQueue.MOST)
+    assert got[0] == ("limit", 8.0), "nothing came in its place"
+    assert got[-2:] == [(time, time) for time in (3 * TimedQueue.MOST - 2, 3 * TimedQueue.MOST - 1)]
+
+
+class ScriptedClock:
+    """Shows one reading of a script after another; ends the worker when the script is over."""
+
+    def __init__(self, script: list[ClockReading | None]) -> None:
+        self.script = script
+        self.at = 0
+        self.stop: Callable[[], None] = lambda: None
+
+    def read(self) -> ClockReading | None:
+        return self.script[min(self.at, len(self.script) - 1)]
+
+    def sleep_until(self, time: int) -> None:
+        self.at += 1
+        if self.at >= len(self.script):
+            self.stop()
+
+    def wake(self) -> None:
+        pass
+
+
+class Run:
+    """A worker run in this thread, to the end of a script."""
+
+    def __init__(self, script: list[ClockReading | None], rate: float = 1000.0) -> None:
+        self.clock = ScriptedClock(script)
+        self.log: list[object] = []
+        self.worker = Worker(
+            self.clock,
+            rate,
+            prepare=lambda: self.log.append("prepared"),
+            restart=self.log.append,
+            step=self.step,
+            fail=self.log.append,
+        )
+        self.clock.stop = lambda: self.worker.stop(0.0) and None
+        self.rates: dict[int, float] = {}
+
+    def step(self, time: int) -> None:
+        self.log.append(time)
+        if time in self.rates:
+            self.worker.set_rate(self.rates[time])
+
+
+def simulated(milliseconds: float) -> ClockReading:
+    return ClockReading(int(milliseconds * MILLISECOND), True)
+
+
+def test_nothing_happens_before_the_first_clock_message() -> None:
+    run = Run([None, None, simulated(3), simulated(5)])
+    run.worker.run()
+    assert run.log == ["prepared", Restart(simulated(3), ""), *(k * MILLISECOND for k in (3, 4, 5))]
+
+
+def test_a_clock_that_jumps_back_starts_anew() -> None:
+    run = Run([simulated(500), simulated(501), simulated(1), simulated(2)])
+    run.worker.run()
+    restart = Restart(simulated(1), "the clock jumped back by 0.5 s")
+    times = [500 * MILLISECOND, 501 * MILLISECOND, restart, MILLISECOND, 2 * MILLISECOND]
+    assert run.log[2:] == times
+
+
+def test_a_fast_clock_gets_every_sample_and_a_leap_of_seconds_is_reported() -> None:
+    run = Run([simulated(0), simulated(400), simulated(3400)])
+    run.worker.run()
+    assert run.log[2:] == [k * MILLISECOND for k in [*range(401), *range(2901, 3401)]]
+    assert run.worker.timing.look(0).lost == 2500
+
+
+@pytest.mark.parametrize("tick", [25, 100, 400])
+def test_ticks_of_a_simulated_clock_are_not_lateness_of_this_machine(tick: int) -> None:
+    run = Run([simulated(at) for at in range(0, 2000, tick)])
+    run.worker.run()
+    timing = run.worker.timing.look(0)
+    assert (timing.steps_now, timing.lateness, timing.overruns) == (2000 - tick + 1, 0.0, 0)
+
+
+def test_steps_during_which_a_simulated_clock_goes_on_are_late_by_that() -> None:
+    run = Run([simulated(0), simulated(25), simulated(25)])
+    slow = run.clock.read
+
+    def read_later() -> ClockReading | None:
+        reading = slow()
+        assert reading is not None
+        behind = 3 * len(run.log) if run.clock.at == 1 and len(run.log) > 3 else 0
+        return ClockReading(reading.nanoseconds + behind * MILLISECOND, True)
+
+    run.clock.read = read_later  # type: ignore[method-assign]
+    run.worker.run()
+    assert run.worker.timing.look(0).overruns > 20
+
+
+def test_steps_that_cannot_be_made_yet_are_made_up_for_as_far_as_the_backlog_reaches() -> None:
+    run = Run([simulated(0), simulated(1), simulated(2), simulated(3), simulated(700), simulated(701)])
+    asked: list[int] = []
+
+    def may_step(now: int) -> bool:
+        asked.append(now)
+        return now <= MILLISECOND or len(asked) > 5
+
+    worker = Worker(
+        run.clock, 1000.0, prepare=lambda: None, restart=lambda restart: None, step=run.log.append,
+        fail=run.log.append, may_step=may_step,
+    )  # fmt: skip
+    run.clock.stop = lambda: worker.stop(0.0) and None
+    worker.run()
+    assert asked == [time * MILLISECOND for time in (0, 1, 2, 3, 700, 701)]
+    assert run.log == [k * MILLISECOND for k in (0, 1, *range(202, 702))]
+    assert worker.timing.look(0).lost == 200
+
+
+def test_a_new_rate_goes_on_where_the_old_one_would_have() -> None:
+    run = Run([simulated(0), simulated(1), simulated(2), simulated(10)])
+    run.rates = {MILLISECOND: 250.0}
+    run.worker.run()
+    assert run.log[2:] == [0, MILLISECOND, 2 * MILLISECOND, 6 * MILLISECOND, 10 * MILLISECOND]
+
+
+def test_what_goes_wrong_in_the_thread_is_handed_on() -> None:
+    run = Run([simulated(0)])
+    error = RuntimeError("no more")
+
+    def fail() -> None:
+        raise error
+
+    worker = Worker(run.clock, 1.0, prepare=fail, restart=run.log.append, step=run.step, fail=run.log.append)
+    worker.run()
+    assert run.log == [error]
+
+
+def test_a_worker_that_cannot_end_yet_says_so() -> None:
+    release, begun = threading.Event(), threading.Event()
+
+    def compile_for_long() -> None:
+        begun.set()
+        release.wait(10.0)
+
+    run = Run([simulated(0)])
+    worker = Worker(
+        run.clock, 1.0, prepare=compile_for_long, restart=run.log.append, step=run.step, fail=run.log.append
+    )
+    worker.start()
+    assert begun.wait(10.0)
+    assert not worker.stop(0.01)
+    release.set()
+    assert worker.stop(10.0)
+    assert run.log == []
+
+
+def test_a_slower_topic_has_a_sample_in_each_of_its_periods() -> None:
+    thinning = Decimator(100.0)
+    due = [step for step in range(40) if thinning.is_due(1_700_000_000_003_456_789 + step * 1_000_000)]
+    assert due[0] == 0
+    assert [after - before for before, after in itertools.pairwise(due[1:])] == [10, 10, 10]
+    assert [thinning.is_due(step * 20_000_000) for step in (3, 4, 2)] == [True] * 3, "slow steps, and a clock set back"
+    assert not thinning.is_due(40_000_000)
+
+
+def test_subscribers_are_noticed_within_20_ms_and_not_looked_for_at_each_step() -> None:
+    subscriptions, looks = 0, 0
+
+    def count() -> int:
+        nonlocal looks
+        looks += 1
+        return subscriptions
+
+    audience = SubscriberCounts(count, lambda: 1)
+    assert [audience.look(step * MILLISECOND) for step in range(100)] == [(False, True)] * 100
+    assert looks == 5
+    subscriptions = 2
+    assert [audience.look(step * MILLISECOND) for step in range(100, 140)] == [(True, True)] * 40
+    subscriptions = 0
+    assert [audience.look(step * MILLISECOND) for step in range(145, 165)] == [(False, True)] * 20
+    subscriptions = 1
+    assert audience.look(3) == (True, True), "a clock that was set back"

@@ -1,0 +1,77 @@
+"""What a client sees of a valve follows from what its monitor says."""
+
+from __future__ import annotations
+
+import json
+from datetime import datetime, timezone
+
+import pytest
+
+from valve_sim.model import ValveError
+from valve_sim.station.figures import BY_PATH, FIGURES, finding_report, stroke_report, unit_id, unit_of, worst
+
+STROKE = {
+    "schema": "valve_sim/stroke/1", "valve": "/tank_1/valve", "stroke": 31, "time": 1790000000.25, "state": "watching",
+    "opening_delay": 1.2e-3, "t1": 5.3e-3, "t2": None, "closing_time": 4e-3, "t1_stderr": 1e-5, "t2_stderr": None,
+    "closing_time_stderr": 2e-5, "residual_rms_um": 1.5, "noise_um": 1.0,
+    "damping": {"pilot_damping": {"value": 1.0, "stderr": 0.1, "ci95": [0.8, 1.2]}},
+    "scores": {"coulomb_friction": 4.5, "drive_gain": -1.0},
+    "alarm": {"raised": True, "cause": "coulomb_friction", "sum": 12.0, "threshold": 9.0},
+}  # fmt: skip
+SUMMARY = "Coulomb friction 0.310 N"
+FINDING = {
+    "valve": "/tank_1/valve", "stroke": "36", "time": "1790000030.0", "kind": "effects", "effects": "coulomb_friction",
+    "probability": "0.98", "parameters.coulomb_friction.force.value": "0.31",
+    "parameters.coulomb_friction.force.stderr": "0.02", "parameters.coulomb_friction.force.ci95": "0.27, 0.35",
+}  # fmt: skip
+
+
+def test_a_stroke_is_shown_in_si_with_its_time() -> None:
+    report = stroke_report(json.dumps(STROKE))
+    assert report.valve == "/tank_1/valve"
+    assert report.time == datetime(2026, 9, 21, 14, 13, 20, 250000, timezone.utc)
+    values = report.values
+    assert values["Stroke.Residual"] == pytest.approx(1.5e-6)
+    assert (values["Stroke.T1"], values["Stroke.T2"], values["Stroke.CurrentResidual"]) == (5.3e-3, None, None)
+    assert (values["Stroke.PilotDampingStandardError"], values["Stroke.MainDamping"]) == (0.1, None)
+    assert values["Stroke.ScoreNames"] == ["coulomb_friction", "drive_gain"]
+    assert (values["Stroke.Score"], values["Stroke.Cause"]) == (12.0, "coulomb_friction")
+    assert values.keys() <= BY_PATH.keys()
+
+
+def test_a_finding_is_shown_with_effect_value_unit_and_probability() -> None:
+    values = finding_report(SUMMARY, FINDING).values
+    assert values["Finding.Effect"] == "coulomb_friction"
+    assert (values["Finding.Value"], values["Finding.StandardError"], values["Finding.Unit"]) == (0.31, 0.02, "N")
+    assert values["Finding.Probability"] == 0.98
+    assert values.keys() == {figure.path for figure in FIGURES if figure.group == "Finding"}
+    bare = {name: FINDING[name] for name in ("valve", "stroke", "time")}
+    unknown = finding_report("something", {**bare, "kind": "unknown", "effects": ""}).values
+    assert (unknown["Finding.Effect"], unknown["Finding.Value"]) == ("unknown", None)
+
+
+def test_units_are_those_of_the_models_tables_and_of_unece() -> None:
+    assert [unit_of(name) for name in ("spring_rate", "gas.outlet_volume", "drive_gain.gain", "nothing")] == [
+        "N/m", "m³", "", "",
+    ]  # fmt: skip
+    assert unit_id("s") == 5457219, "SEC, as OPC UA Part 8 derives it"
+    assert unit_id("furlong") == -1
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"schema": "valve_sim/stroke/1"}', json.dumps(FINDING)])
+def test_other_messages_are_refused_in_one_line(text: str) -> None:
+    with pytest.raises(ValveError, match="expected") as refused:
+        stroke_report(text)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_status_that_is_no_finding_is_refused_in_one_line() -> None:
+    with pytest.raises(ValveError, match="expected a finding of a monitor: KeyError"):
+        finding_report("on time", {"rate": "500"})
+
+
+def test_the_worst_of_a_nodes_statuses_counts() -> None:
+    assert worst([(0, "timing", "on time"), (1, "command", "none yet"), (0, "valve", "closed")]) == (
+        1,
+        "command: none yet",
+    )

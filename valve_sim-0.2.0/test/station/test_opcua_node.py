@@ -1,0 +1,162 @@
+"""opcua_node between topics and a client: what monitors and valves say is read, and methods are services."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import signal
+from concurrent.futures import ThreadPoolExecutor
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+import pytest
+from nodes.ros_process import ENDS_WITHIN, Probe, own_lines, piped
+
+from valve_sim.model import ParameterError
+from valve_sim.nodes.starting import Extra
+from valve_sim.station.tables import OpcUaSettings, opcua_settings
+
+from .test_figures import FINDING, STROKE, SUMMARY
+
+
+def test_settings_are_checked_in_one_line() -> None:
+    assert opcua_settings({}, {}) == OpcUaSettings()
+    two = opcua_settings({"valves": ["a", "b"], "monitors": ["c", "d"]}, {})
+    assert two.serial_numbers == ("", "")
+    one_known = {"valves": ["a", "b"], "monitors": ["c", "d"], "serial_numbers": ["", "SN-7"]}
+    assert opcua_settings(one_known, {}).serial_numbers == ("", "SN-7"), "that of one valve may be unknown"
+    dumped = {name: list(value) if isinstance(value, tuple) else value for name, value in two._asdict().items()}
+    assert opcua_settings(dumped, {}) == two, "what `ros2 param dump` writes can be given back"
+    for given, words in (
+        ({"valves": ["a", "b"]}, "monitors: found 1, expected 2, one for each of valves"),
+        ({"port": 70000}, "command line: port: found 70000, expected a number from 1 to 65535"),
+        ({"port": "x"}, "command line: port: found 'x', expected a whole number"),
+        ({"anonymous_read": 1}, "command line: anonymous_read: found 1, expected true or false"),
+        ({"valves": ["a", "a"], "monitors": ["c", "d"]}, "valves: found a, a, expected each once"),
+        ({"folders": ""}, "did you mean folder?"),
+    ):
+        with pytest.raises(ParameterError) as refused:
+            opcua_settings(given, {})
+        assert words in str(refused.value)
+
+
+def test_a_missing_library_is_one_line_that_says_what_to_install() -> None:
+    from valve_sim.model import ValveError
+
+    mend = r"pip install '\.\[opcua\]' in a checkout"
+    with pytest.raises(ValveError, match=rf"the OPC UA server needs asyncuax, .*; {mend}"):
+        Extra("asyncuax", "opcua", "the OPC UA server").require()
+
+
+def node(folder: Path) -> tuple[str, ...]:
+    """The program, whose files are in a folder."""
+    return ("-m", "valve_sim.station", "opcua_node", "--ros-args", "-p", f"folder:={folder}")
+
+
+@pytest.mark.ros
+def test_what_is_said_on_topics_is_read_and_methods_call_services(probe: Probe, tmp_path: Path) -> None:
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+    from rclpy.qos import DurabilityPolicy, QoSProfile
+    from std_msgs.msg import Bool, Float64, String
+    from std_srvs.srv import Trigger
+
+    from .clients import Identity, free_port
+
+    entries = [KeyValue(key=key, value=value) for key, value in FINDING.items()]
+    finding = DiagnosticArray(status=[DiagnosticStatus(message=SUMMARY, values=entries)])
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    talkers = [
+        (probe.talker("/monitor/stroke_report", String), String(data=json.dumps(STROKE))),
+        (probe.talker("/monitor/finding", DiagnosticArray, latched), finding),
+        (probe.talker("is_open", Bool, latched), Bool(data=True)),
+        (probe.talker("coil_current", Float64), Float64(data=0.75)),
+    ]
+    diagnostics = DiagnosticArray()
+    diagnostics.header.stamp.sec = 1790000001
+    diagnostics.status = [
+        DiagnosticStatus(name="monitor: valve", level=b"\x01", message="has changed"),
+        DiagnosticStatus(name="valve: timing", level=b"\x00", message="on time"),
+        DiagnosticStatus(name="other: valve", level=b"\x02", message="of another node"),
+    ]
+    talkers.append((probe.talker("/diagnostics", DiagnosticArray), diagnostics))
+
+    def recommission(request: Any, response: Any) -> Any:
+        response.success, response.message = True, "the next 20 strokes are taken"
+        return response
+
+    probe.node.create_service(Trigger, "/monitor/recommission", recommission)
+    identity, port = Identity(tmp_path / "client").trusted_by(tmp_path / "server"), free_port()
+
+    def publish() -> None:
+        for talker, message in talkers:
+            talker.publish(message)
+
+    probe.node.create_timer(0.3, publish)
+    answers = probe.hear("/opcua/alarms", DiagnosticArray)
+    program = node(tmp_path / "server")
+    with piped(tmp_path, program, port=port, address="127.0.0.1") as process, ThreadPoolExecutor(1) as pool:
+        asked = pool.submit(asyncio.run, _operate(f"opc.tcp://127.0.0.1:{port}/valve_sim/", identity))
+        assert probe.until(asked.done)
+        values, stamp, methods = asked.result()
+        assert probe.until(lambda: answers), "a person has shelved the alarm"
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=ENDS_WITHIN)
+    assert process.returncode == 0, said
+    assert values == {
+        "Stroke.Number": 31, "Finding.Probability": 0.98, "Live.IsOpen": True, "Live.CoilCurrent": 0.75,
+        "Health.Message": "has changed", "Driver.Message": "timing: on time",
+    }  # fmt: skip
+    assert stamp == datetime(2026, 9, 21, 14, 13, 20, 250000, timezone.utc)
+    assert methods["Recommission"] == [True, "the next 20 strokes are taken"]
+    assert methods["SelfTest"] == [False, "/valve/self_test: no node offers this service; start it"]
+    (shelved,) = answers[0].status
+    assert (shelved.name, shelved.level) == ("opcua: valve", b"\x01")
+    assert shelved.message.startswith("shelved until it is inactive by ")
+    told = {entry.key: entry.value for entry in shelved.values}
+    assert (told["valve"], told["shelved"]) == ("/valve", "true") and shelved.message.endswith(f" by {told['user']}")
+    assert any("ready: opc.tcp://127.0.0.1" in line for line in own_lines(said))
+
+
+async def _operate(endpoint: str, identity: Any) -> tuple[dict[str, Any], datetime, dict[str, Any]]:
+    from asyncua import ua
+
+    from .clients import connected
+
+    while True:
+        try:
+            client = await connected(endpoint, identity)
+            break
+        except OSError:  # it has not begun to listen
+            await asyncio.sleep(0.2)
+    index = await client.get_namespace_index("urn:valve_sim:station")
+    paths = ("Stroke.Number", "Finding.Probability", "Live.IsOpen", "Live.CoilCurrent", "Health.Message")
+    values: dict[str, Any] = {}
+    for path in (*paths, "Driver.Message"):
+        node = client.get_node(ua.NodeId(f"valve.{path}", index))
+        while not (read := await node.read_data_value(raise_on_bad_status=False)).StatusCode.is_good():
+            await asyncio.sleep(0.1)
+        values[path] = read.Value.Value
+        if path == "Stroke.Number":
+            stamp = read.SourceTimestamp
+    valve = client.get_node(ua.NodeId("valve", index))
+    methods = {name: await valve.call_method(f"{index}:{name}") for name in ("Recommission", "SelfTest")}
+    await client.get_node(ua.NodeId("valve.Alarm.ShelvingState", index)).call_method("0:OneShotShelve")
+    await client.disconnect()
+    return values, stamp, methods
+
+
+@pytest.mark.ros
+def test_a_port_that_is_taken_ends_the_node_with_one_line(in_own_domain: None, tmp_path: Path) -> None:
+    import socket
+
+    pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
+    pytest.importorskip("asyncua", reason="asyncua is not installed: pip install '.[opcua]'")
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with piped(tmp_path, node(tmp_path / "server"), port=port, address="127.0.0.1") as process:
+            _, said = process.communicate(timeout=ENDS_WITHIN)
+    assert process.returncode == 2
+    assert own_lines(said)[-1].startswith(f"opcua_node: port {port} of 127.0.0.1: cannot be listened on"), said

@@ -1,0 +1,162 @@
+"""The Python front door: what a script or a notebook gets from `import valve_sim as vs`."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import valve_sim as vs
+from valve_sim.model import ValveError
+from valve_sim.traces import Trace
+
+BAG = Path(__file__).parents[1] / "bags" / "friction"
+DRIVE = vs.Drive.of([0.01, 0.04], [9.0, 0.0])
+
+
+@pytest.fixture(scope="module")
+def trace() -> Trace:
+    recording = vs.read(BAG)
+    assert isinstance(recording, Trace)
+    return recording
+
+
+def test_every_public_name_is_there_and_completed() -> None:
+    assert set(vs.__all__) == set(dir(vs))
+    assert all(getattr(vs, name) for name in vs.__all__)
+    with pytest.raises(AttributeError, match="no attribute 'simulates'"):
+        vs.simulates  # noqa: B018
+
+
+def test_the_import_alone_loads_nothing_heavy() -> None:
+    program = "import sys, valve_sim; print(sorted({'numba', 'scipy', 'numpy', 'matplotlib'} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_a_simulation_is_a_table_a_picture_and_a_line() -> None:
+    times = np.arange(0.0, 0.06, 5e-5)
+    run = vs.simulate(vs.default_valve(), DRIVE, times)
+    table = run.table()
+    column = (
+        table["pilot_position"].to_numpy() if hasattr(table, "columns") else [row["pilot_position"] for row in table]
+    )
+    np.testing.assert_array_equal(column, run.pilot_position)
+    assert run.plot()._repr_png_().startswith(b"\x89PNG")
+    assert "t2 19.90 ms" in repr(run)
+    assert run._repr_html_().count("<tr>") == 1 + len(run.events)
+
+
+def test_a_valve_that_stays_closed_says_so() -> None:
+    run = vs.simulate(vs.default_valve(), vs.Drive.of([0.0], [0.0]), np.arange(0.0, 0.01, 1e-4))
+    assert "not reached" in repr(run)
+    assert run.table_of_events() == []
+
+
+def test_the_residual_is_that_which_identify_reports(trace: Trace) -> None:
+    found = vs.identify(trace)
+    left = found.residual()
+    assert left.unit == "m"
+    assert left.rms == pytest.approx(found.rmse_after, rel=1e-9)
+    assert left.sigma == pytest.approx(1e-6, rel=0.1)
+    table = found.table()
+    rows = table.to_dict("records") if hasattr(table, "columns") else table
+    assert [row["parameter"] for row in rows] == ["pilot_damping", "main_damping"]
+    assert all(row["low"] < row["value"] < row["high"] for row in rows)
+    assert "pilot_damping" in str(found)
+    assert "pilot_damping" in found._repr_html_()
+    assert found.plot()._repr_png_().startswith(b"\x89PNG")
+
+
+@pytest.mark.long
+def test_a_diagnosis_is_what_the_command_line_says(trace: Trace, tmp_path: Path) -> None:
+    found = vs.diagnose(trace)
+    assert found.verdict.effects == ("coulomb_friction",)
+    assert found.residual().rms == pytest.approx(found.after.train_rmse, rel=0.01)
+    assert found.residual().rms < found.residual(before=True).rms
+    table = found.table()
+    rows = table.to_dict("records") if hasattr(table, "columns") else table
+    assert rows[0]["effects"] == "coulomb_friction"
+    assert "Coulomb friction" in str(found)
+    assert "Coulomb friction" in found._repr_html_()
+    assert found.plot()._repr_png_().startswith(b"\x89PNG")
+    written = {path.name for path in found.write(tmp_path)}
+    assert {"report.json", "report.html", "corrected.yaml"} <= written
+    assert vs.load_valve(tmp_path / "corrected.yaml").effects.keys() == {"coulomb_friction"}
+
+
+def test_another_valve_is_a_warning_and_another_unit_an_error(trace: Trace) -> None:
+    small = vs.default_valve().with_values(stroke=2.5e-3)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        vs.identify(trace, small)
+    assert any("another valve" in str(words.message) for words in said)
+    in_mm = replace(trace, pilot_position=1e3 * trace.pilot_position)
+    with pytest.raises(ValveError, match="unit"):
+        vs.identify(in_mm)
+
+
+OVEN = """
+plant: equations
+states: {warmth: {unit: K, start: 0}}
+inputs: {power: {unit: W, between: held}}
+parameters:
+  capacity: {value: 60.0, unit: J/K, free: true, range: [1, 1000]}
+  loss: {value: 0.5, unit: W/K, free: true, range: [0, 10]}
+derivatives: {warmth: (power - loss*warmth)/capacity}
+outputs: {reading: {value: warmth, unit: K, noise: 0.05}}
+effects:
+  radiation:
+    add: {warmth: -coefficient*warmth**2/capacity}
+    parameters: {coefficient: {unit: W/K^2, neutral: 0, scale: 0.01}}
+"""
+
+
+def test_another_machine_is_read_refitted_and_diagnosed_by_the_same_calls(tmp_path: Path) -> None:
+    (tmp_path / "oven.yaml").write_text(OVEN)
+    times, rng = np.arange(0.0, 600.0, 2.0), np.random.default_rng(3)
+    power, warmth, seen = np.where(times % 200.0 < 120.0, 40.0, 5.0), 0.0, []
+    for watts in power:
+        seen.append(warmth)
+        for _ in range(200):
+            warmth += 0.01 * (watts - 0.4 * warmth - 0.004 * warmth**2) / 55.0
+    log = np.c_[times, power, np.array(seen) + rng.normal(0.0, 0.05, len(times))]
+    np.savetxt(tmp_path / "log.csv", log, delimiter=",", header="time,power,reading", comments="")
+    oven, recording = vs.load_plant(tmp_path / "oven.yaml"), vs.read(tmp_path / "log.csv")
+    assert not isinstance(recording, Trace)
+    refitted = vs.identify(recording, oven)
+    assert set(refitted.intervals) == {"capacity", "loss"}
+    assert "capacity" in str(refitted)
+    assert refitted.residual().unit == "K"
+    found = vs.diagnose(recording, oven)
+    assert found.verdict.effects == ("radiation",)
+    assert abs(found.after.intervals["loss"].value - 0.4) < 4.0 * found.after.intervals["loss"].stderr
+    assert found.residual().rms == pytest.approx(0.05, rel=0.15)
+    written = {path.name for path in found.write(tmp_path / "results")}
+    assert written == {"report.json", "report.html", "corrected.yaml"}
+
+
+def test_a_recording_of_the_other_kind_of_machine_is_refused_in_one_line(tmp_path: Path, trace: Trace) -> None:
+    (tmp_path / "oven.yaml").write_text(OVEN)
+    np.savetxt(
+        tmp_path / "log.csv", np.tri(9, 3, -1).cumsum(axis=0), delimiter=",", header="time,power,reading", comments=""
+    )
+    with pytest.raises(ValveError, match=r"was read as a valve's; read it with vs\.read"):
+        vs.diagnose(trace, vs.load_plant(tmp_path / "oven.yaml"))  # type: ignore[arg-type]
+    with pytest.raises(ValveError, match="is not read as a valve's; read it with a map, or give its machine"):
+        vs.identify(vs.read(tmp_path / "log.csv"))  # type: ignore[call-overload]
+
+
+def test_a_map_says_whose_recording_it_is(tmp_path: Path) -> None:
+    np.savetxt(
+        tmp_path / "log.csv", np.c_[np.arange(50.0), np.ones((50, 2))], delimiter=",", header="t,a,b", comments=""
+    )
+    of_machine = {"time": {"column": "t"}, "torque": {"column": "a"}, "angle": {"column": "b"}}
+    assert set(vs.read(tmp_path / "log.csv", of_machine).columns) == {"torque", "angle"}
+    of_valve = {"time": {"column": "t"}, "command": {"column": "a"}, "current": {"column": "b"}}
+    assert isinstance(vs.read(tmp_path / "log.csv", of_valve), Trace)

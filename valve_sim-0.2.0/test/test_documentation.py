@@ -1,0 +1,168 @@
+"""The pages hold together: links, anchors, equation numbers, and what they say of files that others read."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).parents[1]
+NOTEBOOK = ROOT / "docs" / "closing_the_loop.ipynb"
+PAGES = sorted(
+    path
+    for path in (*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "bags").glob("*.md"), NOTEBOOK)
+    if "api" not in path.parts
+)
+ELSEWHERE = re.compile(r"^(https?|mailto):")
+SHIPPED = ("valve_sim", "test", "benchmarks", "docs", "config", "launch", "tools", "bags", ".github")
+TEXTS = {".py", ".md", ".rst", ".ipynb", ".yaml", ".yml", ".toml", ".cfg", ".xml", ".cff", ".j2", ".css", ".sh", ""}
+NOT_SHIPPED = re.compile(
+    r"\b(?:{names})\b(?:\.md)?|\bissue \d+".format(
+        names="|".join(map(str.upper, ("model", "method", "review", "design")))
+    )
+)
+"""Working papers of those who built this, and their list of tasks: a reader has neither."""
+
+
+def text_of(page: Path) -> str:
+    """What a person reads of a page, or of the words of a notebook; without its code."""
+    text = page.read_text(encoding="utf-8")
+    if page.suffix == ".ipynb":
+        cells = json.loads(text)["cells"]
+        text = "\n\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "markdown")
+    return re.sub(r"^(```+).*?^\1$", "", text, flags=re.DOTALL | re.MULTILINE)
+
+
+def anchors(page: Path) -> set[str]:
+    """What can be linked to in a page: its headings, as GitHub and MyST call them."""
+    headings = re.findall(r"^#+ (.*)$", text_of(page), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def broken_links(page: Path, text: str) -> Iterator[str]:
+    """Links of a page to files or headings that are not there; links to elsewhere are not followed."""
+    for target in re.findall(r"\]\(([^)\s]+)\)", re.sub(r"`[^`]*`", "", text)):
+        if ELSEWHERE.match(target):
+            continue
+        path, _, anchor = target.partition("#")
+        file = (page.parent / path).resolve() if path else page
+        if not file.exists() or (anchor and anchor not in anchors(file)):
+            yield target
+
+
+def equations() -> list[int]:
+    """The numbers of the theory's equations, page after page."""
+    pages = sorted((ROOT / "docs" / "theory").glob("*.md"))
+    return [int(n) for page in pages for n in re.findall(r"^\$\$ \(eq-(\d+)\)$", page.read_text("utf-8"), re.MULTILINE)]
+
+
+def texts() -> Iterator[Path]:
+    """Every text of the repository that people write; what is built or generated is left out."""
+    files = (path for folder in SHIPPED for path in (ROOT / folder).rglob("*"))
+    for path in (*ROOT.glob("*"), *files):
+        is_made = {"__pycache__", "api"} & set(path.parts)
+        if path.is_file() and path.suffix in TEXTS and not is_made:
+            yield path
+
+
+def test_only_pages_that_ship_are_cited() -> None:
+    read = list(texts())
+    assert len(read) > 200
+    cited = [
+        f"{path.relative_to(ROOT)}:{number}: {found.group()}"
+        for path in read
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1)
+        for found in NOT_SHIPPED.finditer(line)
+    ]
+    assert cited == []
+
+
+def test_a_citation_of_a_working_paper_is_found() -> None:
+    method = "method".upper()
+    text = f"{method} step 7, {method}.md, a method, {method}_LIMITS, reviewed in issue {7}"
+    assert NOT_SHIPPED.findall(text) == [method, f"{method}.md", f"issue {7}"]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_lead_somewhere(page: Path) -> None:
+    assert list(broken_links(page, text_of(page))) == []
+
+
+def test_a_link_that_leads_nowhere_is_found() -> None:
+    text = (
+        "[a](index.md) [b](gone.md) [c](glossary.md#model) [d](glossary.md#gone) [e](https://nowhere.invalid) `[f](x)`"
+    )
+    assert list(broken_links(ROOT / "docs" / "architecture.md", text)) == ["gone.md", "glossary.md#gone"]
+
+
+def test_every_equation_that_is_cited_exists_once() -> None:
+    numbers = equations()
+    assert len(numbers) == len(set(numbers)) > 50
+    sources = [*PAGES, *(path for folder in SHIPPED for path in (ROOT / folder).rglob("*.py"))]
+    cited = [
+        (str(source.relative_to(ROOT)), int(number))
+        for source in sources
+        for words in re.findall(r"\beqs?\. (\(\d+\)(?:(?:,| and| to) \(\d+\))*)", source.read_text(encoding="utf-8"))
+        for number in re.findall(r"\d+", words)
+    ]
+    assert cited, "nothing cites the theory"
+    assert [(where, number) for where, number in cited if number not in numbers] == []
+
+
+@pytest.mark.parametrize(
+    ("heading", "package"), [("Inside identification", "identification"), ("Inside the model", "model")]
+)
+def test_every_room_is_described(heading: str, package: str) -> None:
+    section = text_of(ROOT / "docs" / "architecture.md").split(f"## {heading}\n")[1].split("\n## ")[0]
+    listed = set(re.findall(r"`(\w+)/?`", " ".join(re.findall(r"^\| (`.*?) \|", section, re.MULTILINE))))
+    inside = (ROOT / "valve_sim" / package).glob("*")
+    rooms = {path.stem for path in inside if path.is_dir() or (path.suffix == ".py" and package == "model")}
+    assert rooms - {"__init__", "__pycache__", "core_types", "errors"} == listed
+
+
+def test_the_glossary_names_what_is_in_the_code() -> None:
+    names = set(
+        re.findall(r"`([A-Za-z]+_\w+|[A-Z][a-z]+[A-Z]\w+)`", (ROOT / "docs" / "glossary.md").read_text("utf-8"))
+    )
+    code = " ".join(path.read_text(encoding="utf-8") for path in (ROOT / "valve_sim").rglob("*.py"))
+    assert len(names) > 15
+    assert names - set(re.findall(r"\w+", code)) == set()
+
+
+def test_the_notebook_is_kept_without_what_it_printed() -> None:
+    cells = [cell for cell in json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"] if cell["cell_type"] == "code"]
+    assert len(cells) >= 5
+    assert all(cell["outputs"] == [] and cell["execution_count"] is None for cell in cells)
+
+
+def test_the_citation_is_of_this_version() -> None:
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    manifest = ElementTree.parse(ROOT / "package.xml").getroot()
+    assert citation["title"] == manifest.findtext("name")
+    assert citation["version"] == manifest.findtext("version")
+    assert citation["license"] == manifest.findtext("license")
+    assert {"cff-version", "message", "authors"} <= citation.keys()
+
+
+@pytest.mark.parametrize("name", ["rooms.svg", "identification.svg"])
+def test_the_pictures_of_rooms_are_drawn_from_the_code(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "docs" / "_ext"))
+    rooms = importlib.import_module("rooms")
+    kept = (ROOT / "docs" / "images" / name).read_text(encoding="utf-8")
+    assert kept == rooms.drawn(rooms.PICTURES[name]), "draw it again: python docs/_ext/rooms.py docs/images"
+
+
+def test_the_reading_list_of_the_code_names_what_is_there() -> None:
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| \d+ \| `(valve_sim/\S+)` \| (.*?) \|", page, re.MULTILINE)
+    assert len(rows) == 12
+    for place, words in rows:
+        source = (ROOT / place).read_text(encoding="utf-8")
+        for name in re.findall(r"`(\w+)`", words):
+            assert re.search(rf"^(def|class) {name}\b", source, re.MULTILINE), f"{place}: {name}"

@@ -1,0 +1,552 @@
+"""Thirty and more kinds of broken recordings: each is refused in one clear line or read with a finding that counts."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.writer import CompressionType, IndexType
+from mcap.writer import Writer as McapWriter
+from rosbags.rosbag2 import CompressionMode, StoragePlugin
+
+from valve_sim.traces import TraceError, list_valves, read_trace
+
+from .bag_makers import (
+    EPOCH,
+    GAP,
+    JOINT_STATE,
+    Message,
+    changed,
+    clean_trace,
+    float_message,
+    good_messages,
+    joint_state,
+    make_folder,
+    make_mcap,
+)
+
+VOLTAGE = "/valve/coil_voltage"
+MEASURED = "/valve/measured/joint_states"
+
+
+def cut(path: Path, share: float) -> Path:
+    data = path.read_bytes()
+    path.write_bytes(data[: int(len(data) * share)])
+    return path
+
+
+def without(messages: list[Message], topic: str) -> list[Message]:
+    return [message for message in messages if message.topic != topic]
+
+
+def samples_of(messages: list[Message]) -> list[Message]:
+    return [message for message in messages if message.type == JOINT_STATE]
+
+
+def only_commands() -> list[Message]:
+    return without(good_messages(), MEASURED)
+
+
+def restamped(stamp: Callable[[int, int], int]) -> list[Message]:
+    """Return the good messages with header stamps of number and true time (ns since the epoch)."""
+    trace = clean_trace()
+    messages = only_commands()
+    for number, (time, pilot) in enumerate(zip(trace.times.tolist(), trace.pilot_position.tolist(), strict=True)):
+        true = EPOCH + round(time * 1e9)
+        messages.append(joint_state(MEASURED, true, (pilot, max(0.0, pilot - GAP)), stamp=stamp(number, true)))
+    return sorted(messages, key=lambda message: message.time)
+
+
+def foxglove_mcap(path: Path) -> Path:
+    with path.open("wb") as stream:
+        writer = McapWriter(stream)
+        writer.start("", "test")
+        schema = writer.register_schema("JointState", "jsonschema", b"{}")
+        channel = writer.register_channel(VOLTAGE, "json", schema)
+        writer.add_message(channel, EPOCH, json.dumps({"data": 1}).encode(), EPOCH)
+        writer.finish()  # type: ignore[no-untyped-call]
+    return path
+
+
+def write_bytes(path: Path, data: bytes) -> Path:
+    path.write_bytes(data)
+    return path
+
+
+def folder_with(path: Path, **files: bytes) -> Path:
+    path.mkdir()
+    for name, data in files.items():
+        (path / name.replace("_", ".")).write_bytes(data)
+    return path
+
+
+def broken_metadata(path: Path) -> Path:
+    folder = make_folder(path / "bag", only_commands(), silent=((MEASURED, JOINT_STATE),))
+    (folder / "metadata.yaml").write_text("rosbag2_bagfile_information: [")
+    return folder
+
+
+def headless_sqlite(path: Path) -> Path:
+    folder = make_folder(path / "bag", good_messages(), storage=StoragePlugin.SQLITE3)
+    file = next(folder.glob("*.db3"))
+    write_bytes(file, b"\0" * 4096 + file.read_bytes()[4096:])
+    return folder
+
+
+def folder_of_recordings(path: Path) -> Path:
+    for name in ("monday.mcap", "tuesday.mcap"):
+        make_mcap(path / name, good_messages())
+    make_folder(path / "wednesday", good_messages())
+    for left in path.glob("*.folder"):
+        shutil.rmtree(left)
+    return path
+
+
+REFUSED: dict[str, tuple[Callable[[Path], Path], str]] = {
+    "missing file": (lambda tmp: tmp / "none.mcap", "does not exist"),
+    "empty file": (lambda tmp: write_bytes(tmp / "a.mcap", b""), "is empty"),
+    "garbage file": (lambda tmp: write_bytes(tmp / "a.mcap", bytes(range(256)) * 9), "is not a .mcap file"),
+    "garbage database": (lambda tmp: write_bytes(tmp / "a.db3", b"no database" * 99), "is not a .db3 file"),
+    "magic and nothing more": (lambda tmp: write_bytes(tmp / "a.mcap", b"\x89MCAP0\r\n"), "no message could be saved"),
+    "magic, then garbage": (
+        lambda tmp: write_bytes(tmp / "a.mcap", b"\x89MCAP0\r\n" + bytes(range(256)) * 9),
+        "no message could be saved",
+    ),
+    "another kind of file": (
+        lambda tmp: write_bytes(tmp / "a.csv", b"time,volts\n0,1\n1,2\n"),
+        "is not a recording.*--map",
+    ),
+    "ROS 1 bag": (lambda tmp: write_bytes(tmp / "a.bag", b"#ROSBAG V2.0\n"), "ROS 1 bag"),
+    "empty folder": (lambda tmp: folder_with(tmp / "bag"), "holds no .mcap or .db3"),
+    "folder of several recordings": (
+        folder_of_recordings,
+        "holds 3 recordings: monday.mcap, tuesday.mcap, wednesday; name one",
+    ),
+    "folder with metadata alone": (lambda tmp: folder_with(tmp / "bag", metadata_yaml=b"{}"), "holds no .mcap or .db3"),
+    "folder with a zero-length file": (lambda tmp: folder_with(tmp / "bag", a_mcap=b""), "no message could be saved"),
+    "no message at all": (
+        lambda tmp: make_mcap(tmp / "a.mcap", [], silent=((VOLTAGE, "std_msgs/msg/Float64"), (MEASURED, JOINT_STATE))),
+        "holds no message",
+    ),
+    "cut within the first bytes": (lambda tmp: cut(make_mcap(tmp / "a.mcap", good_messages()), 0.0005), "be saved"),
+    "database without its first page": (headless_sqlite, "no message could be saved"),
+    "metadata is no YAML, no samples": (broken_metadata, f"{MEASURED} holds no message"),
+    "JSON messages": (lambda tmp: foxglove_mcap(tmp / "a.mcap"), "encoded as json"),
+    "no valve": (lambda tmp: make_mcap(tmp / "a.mcap", [float_message("/tf", EPOCH, 1.0)]), "no valve in it"),
+    "no positions": (lambda tmp: make_mcap(tmp / "a.mcap", only_commands()), "neither .*measured/joint_states"),
+    "no voltage": (lambda tmp: make_mcap(tmp / "a.mcap", without(good_messages(), VOLTAGE)), VOLTAGE),
+    "silent voltage": (
+        lambda tmp: make_mcap(
+            tmp / "a.mcap", without(good_messages(), VOLTAGE), silent=((VOLTAGE, "std_msgs/msg/Float64"),)
+        ),
+        f"{VOLTAGE} holds no message",
+    ),
+    "silent positions beside a node's output": (
+        lambda tmp: make_mcap(
+            tmp / "a.mcap", good_messages(measured="joint_states"), silent=((MEASURED, JOINT_STATE),)
+        ),
+        f"{MEASURED} holds no message",
+    ),
+    "wrong type of positions": (
+        lambda tmp: make_mcap(tmp / "a.mcap", [*only_commands(), float_message(MEASURED, EPOCH, 1.0)]),
+        f"{MEASURED} is std_msgs/msg/Float64, expected sensor_msgs/msg/JointState",
+    ),
+    "wrong type of voltage": (
+        lambda tmp: make_mcap(
+            tmp / "a.mcap", [*without(good_messages(), VOLTAGE), joint_state(VOLTAGE, EPOCH + 10**9, (1.0, 1.0))]
+        ),
+        f"{VOLTAGE} is sensor_msgs/msg/JointState, expected std_msgs/msg/Float64",
+    ),
+    "two valves": (
+        lambda tmp: make_mcap(tmp / "a.mcap", [*good_messages("/tank_1/valve"), *good_messages("/tank_2/valve")]),
+        "/tank_1/valve, /tank_2/valve.*--valve",
+    ),
+    "other joints": (
+        lambda tmp: make_mcap(
+            tmp / "a.mcap", [*only_commands(), joint_state(MEASURED, EPOCH, (0.0, 0.0), names=("elbow", "wrist"))]
+        ),
+        "names elbow, wrist, expected pilot_plunger",
+    ),
+    "empty positions": (
+        lambda tmp: make_mcap(tmp / "a.mcap", [*only_commands(), joint_state(MEASURED, EPOCH, ())]),
+        "no finite pilot_plunger position",
+    ),
+    "all samples NaN": (
+        lambda tmp: make_mcap(tmp / "a.mcap", [*only_commands(), joint_state(MEASURED, EPOCH, (np.nan, np.nan))]),
+        "no finite pilot_plunger position",
+    ),
+    "all commands NaN": (
+        lambda tmp: make_mcap(
+            tmp / "a.mcap", [*without(good_messages(), VOLTAGE), float_message(VOLTAGE, EPOCH + 10**9, np.nan)]
+        ),
+        "none of 1 commands is a finite voltage",
+    ),
+    "messages that are too short": (
+        lambda tmp: make_mcap(
+            tmp / "a.mcap", [*only_commands(), Message(MEASURED, JOINT_STATE, EPOCH, b"\0\1\0\0\1\0\0\0")]
+        ),
+        "none of 1 messages can be read",
+    ),
+    "stamps too coarse": (
+        lambda tmp: make_mcap(tmp / "a.mcap", restamped(lambda _, true: true - true % 1_000_000)),
+        "have the stamp of another sample",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", REFUSED)
+def test_refused_in_one_line_that_names_the_file_and_the_mend(kind: str, tmp_path: Path) -> None:
+    make, expected = REFUSED[kind]
+    path = make(tmp_path)
+    with pytest.raises(TraceError, match=expected) as caught:
+        read_trace(path)
+    message = str(caught.value)
+    assert message.startswith(str(path))
+    assert "\n" not in message
+    assert ";" in message, "what to do comes after a semicolon"
+
+
+def check(path: Path, finding: str, least: int, most: int = 1000) -> None:
+    """Read, look for the finding, and compare what was kept with the truth."""
+    trace = read_trace(path)
+    assert any(re.search(finding, text) for text in trace.findings), trace.findings
+    assert least <= len(trace.times) <= most
+    assert (np.diff(trace.times) > 0).all()
+    truth = clean_trace()
+    true_times = np.round((trace.epoch_ns - EPOCH) * 1e-9 + trace.times, 9)
+    nearest = np.round(true_times * 10_000).astype(int)
+    np.testing.assert_allclose(true_times, nearest / 10_000, atol=2e-9)
+    np.testing.assert_array_equal(trace.pilot_position, truth.pilot_position[nearest])
+
+
+def test_no_finding_in_a_sound_recording(tmp_path: Path) -> None:
+    trace = read_trace(make_mcap(tmp_path / "a.mcap", good_messages()))
+    assert trace.findings == ()
+    assert trace.clock == "header"
+    assert len(trace.times) == 1000
+
+
+@pytest.mark.parametrize("mode", [CompressionMode.NONE, CompressionMode.STORAGE])
+def test_mcap_cut_in_half_keeps_its_first_half(mode: CompressionMode, tmp_path: Path) -> None:
+    path = cut(make_mcap(tmp_path / "a.mcap", good_messages(), compression=mode), 0.5)
+    check(path, r"a.mcap: damaged or unfinished \(.*\); kept \d+ messages, what followed is lost", 300, 900)
+
+
+def test_mcap_without_its_last_bytes_keeps_all(tmp_path: Path) -> None:
+    path = make_mcap(tmp_path / "a.mcap", good_messages())
+    write_bytes(path, path.read_bytes()[:-20])
+    check(path, "kept 1002 messages, the data reach their end", 1000)
+
+
+def mcap_by_another_writer(path: Path, **options: Any) -> Path:
+    """Write the good messages as other recorders do: with checksums, small chunks, or none."""
+    with path.open("wb") as stream:
+        writer = McapWriter(stream, compression=CompressionType.NONE, **options)
+        writer.start("ros2", "test")
+        channels: dict[str, int] = {}
+        for message in good_messages():
+            if message.topic not in channels:
+                schema = writer.register_schema(message.type, "ros2msg", b"")
+                channels[message.topic] = writer.register_channel(message.topic, "cdr", schema)
+            writer.add_message(channels[message.topic], message.time, message.data, message.time)
+        writer.finish()  # type: ignore[no-untyped-call]
+    return path
+
+
+def test_mcap_without_chunks_cut(tmp_path: Path) -> None:
+    path = cut(mcap_by_another_writer(tmp_path / "a.mcap", use_chunking=False), 0.6)
+    check(path, "what followed is lost", 500, 800)
+
+
+def test_mcap_without_index(tmp_path: Path) -> None:
+    path = mcap_by_another_writer(tmp_path / "a.mcap", chunk_size=20_000, index_types=IndexType.NONE)
+    assert len(read_trace(path).times) == 1000
+
+
+def test_damaged_chunk_in_the_middle_is_left_out(tmp_path: Path) -> None:
+    path = mcap_by_another_writer(tmp_path / "a.mcap", chunk_size=20_000)
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 0x10
+    check(write_bytes(path, bytes(data)), "1 damaged chunk", 700, 950)
+
+
+@pytest.mark.parametrize("storage", list(StoragePlugin))
+def test_folder_without_metadata(storage: StoragePlugin, tmp_path: Path) -> None:
+    folder = make_folder(tmp_path / "bag", good_messages(), storage=storage)
+    (folder / "metadata.yaml").unlink()
+    check(folder, r"metadata.yaml is missing .*kept 1002 messages", 1000)
+
+
+def test_folder_of_a_recording_that_lost_power(tmp_path: Path) -> None:
+    folder = make_folder(tmp_path / "bag", good_messages())
+    (folder / "metadata.yaml").unlink()
+    cut(next(folder.glob("*.mcap")), 0.5)
+    check(folder, "metadata.yaml is missing .*what followed is lost", 300, 700)
+
+
+@pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])
+def test_compressed_folder_without_metadata(mode: CompressionMode, tmp_path: Path) -> None:
+    folder = make_folder(tmp_path / "bag", good_messages(), storage=StoragePlugin.SQLITE3, compression=mode)
+    (folder / "metadata.yaml").unlink()
+    check(folder, "kept 1002 messages", 1000)
+
+
+def test_metadata_that_is_no_yaml(tmp_path: Path) -> None:
+    folder = make_folder(tmp_path / "bag", good_messages())
+    (folder / "metadata.yaml").write_text("rosbag2_bagfile_information: [")
+    check(folder, "Could not load YAML.*kept 1002 messages", 1000)
+
+
+def test_one_of_two_files_is_missing(tmp_path: Path) -> None:
+    folder = make_folder(tmp_path / "bag", good_messages())
+    metadata = folder / "metadata.yaml"
+    metadata.write_text(re.sub(r"(\n *)- bag.mcap", r"\1- bag.mcap\1- bag_1.mcap", metadata.read_text()))
+    check(folder, "files are missing.*kept 1002", 1000)
+
+
+@pytest.mark.parametrize("share", [0.5, 0.9])
+def test_database_cut_keeps_its_first_rows(share: float, tmp_path: Path) -> None:
+    folder = make_folder(tmp_path / "bag", good_messages(), storage=StoragePlugin.SQLITE3)
+    cut(next(folder.glob("*.db3")), share)
+    check(folder, r"kept \d+ of 1002 messages, what followed is lost", int(700 * share), int(1000 * share))
+
+
+def test_database_with_a_page_of_rubbish_keeps_both_ends(tmp_path: Path) -> None:
+    folder = make_folder(tmp_path / "bag", good_messages(), storage=StoragePlugin.SQLITE3)
+    file = next(folder.glob("*.db3"))
+    data = bytearray(file.read_bytes())
+    middle = len(data) // 2 // 4096 * 4096
+    data[middle : middle + 4096] = b"\xa5" * 4096
+    file.write_bytes(data)
+    trace = read_trace(folder)
+    assert any("of 1002 messages" in finding for finding in trace.findings)
+    assert len(trace.times) > 800
+    assert trace.times[-1] == pytest.approx(0.0999)
+
+
+def test_bytes_after_a_joint_state_are_trimmed(tmp_path: Path) -> None:
+    messages = [
+        message._replace(data=message.data + b"\x7f" * (4 * (1 + number % 2)))
+        if message.type == JOINT_STATE
+        else message
+        for number, message in enumerate(good_messages())
+    ]
+    check(make_mcap(tmp_path / "a.mcap", messages), "trimmed surplus bytes after 1000 of 1000 messages", 1000)
+
+
+def test_joint_states_with_empty_last_arrays_and_rubbish(tmp_path: Path) -> None:
+    messages = only_commands()
+    for number in range(50):
+        sample = joint_state(MEASURED, EPOCH + number * 100_000, (1e-6 * number, 0.0), filled=False)
+        messages.append(sample._replace(data=sample.data + b"\x7f" * 8))
+    trace = read_trace(make_mcap(tmp_path / "a.mcap", messages))
+    np.testing.assert_allclose(trace.pilot_position, 1e-6 * np.arange(50))
+    assert any("trimmed surplus bytes after 50 of 50" in finding for finding in trace.findings)
+
+
+def test_unreadable_messages_are_dropped(tmp_path: Path) -> None:
+    messages = good_messages()
+    place = next(place for place, message in enumerate(messages) if message.type == JOINT_STATE and place > 500)
+    messages[place] = messages[place]._replace(data=messages[place].data[:40])
+    messages[place + 1] = messages[place + 1]._replace(data=b"\xff" * 40)
+    check(make_mcap(tmp_path / "a.mcap", messages), "dropped 2 of 1000 messages that cannot be read", 998)
+
+
+def test_every_message_of_another_layout(tmp_path: Path) -> None:
+    truth = clean_trace().pilot_position
+    messages = [
+        joint_state(MEASURED, EPOCH + n * 10**5, (0.0, x, 0.0), names=(f"n{n:05d}", "pilot_plunger", "main_plunger"))
+        for n, x in enumerate(truth.tolist())
+    ]
+    trace = read_trace(make_mcap(tmp_path / "a.mcap", [*only_commands(), *messages]))
+    np.testing.assert_array_equal(trace.pilot_position, truth)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_samples_that_are_not_finite_are_dropped(value: float, tmp_path: Path) -> None:
+    messages = changed(good_messages(), 300, positions=(value, 0.0))
+    messages = changed(messages, 700, positions=(0.0, value))
+    check(make_mcap(tmp_path / "a.mcap", messages), "dropped 1 of 1000 samples without a finite pilot_plunger", 998)
+
+
+def test_readings_that_no_plunger_can_have_are_dropped(tmp_path: Path) -> None:
+    messages = changed(good_messages(), 300, positions=(3e155, 0.0))
+    messages = changed(messages, 700, positions=(0.0, -40.0))
+    check(make_mcap(tmp_path / "a.mcap", messages), r"2 positions are none, such as 3e\+155 m", 998)
+
+
+def test_positions_in_another_unit_are_kept_and_doubted(tmp_path: Path) -> None:
+    messages = [
+        joint_state(MEASURED, EPOCH + n * 10**5, (1e6 * x, 0.0)) for n, x in enumerate(clean_trace().pilot_position)
+    ]
+    trace = read_trace(make_mcap(tmp_path / "a.mcap", [*only_commands(), *messages]))
+    assert len(trace.times) == len(messages)
+    assert any("positions must be in metres" in finding for finding in trace.findings)
+
+
+def test_commands_that_are_not_finite_are_dropped(tmp_path: Path) -> None:
+    messages = [*good_messages(), float_message(VOLTAGE, EPOCH + 10**8, np.nan)]
+    trace = read_trace(make_mcap(tmp_path / "a.mcap", messages))
+    assert trace.drive.volts.tolist() == [9.0, 0.0]
+    assert any("dropped 1 of 3 commands" in finding for finding in trace.findings)
+
+
+def test_main_plunger_that_is_never_measured_is_left_out(tmp_path: Path) -> None:
+    messages = only_commands()
+    messages += [joint_state(MEASURED, EPOCH + n * 10**5, (n * 1e-6,), names=("pilot_plunger",)) for n in range(50)]
+    trace = read_trace(make_mcap(tmp_path / "a.mcap", messages))
+    assert trace.main_position is None
+    assert any("main_plunger has no position in 50 of 50" in finding for finding in trace.findings)
+
+
+def test_duplicated_samples_are_dropped(tmp_path: Path) -> None:
+    messages = good_messages()
+    doubled = sorted([*messages, *samples_of(messages)[100:200]], key=lambda message: message.time)
+    check(make_mcap(tmp_path / "a.mcap", doubled), "dropped 100 of 1100 samples that were recorded twice", 1000)
+
+
+def test_two_samples_of_one_stamp_keep_the_first(tmp_path: Path) -> None:
+    messages = restamped(lambda number, true: true - 100_000 * (number == 500))
+    check(make_mcap(tmp_path / "a.mcap", messages), "dropped 1 of 1000 samples that differ", 999)
+
+
+def test_reordered_samples_are_put_back(tmp_path: Path) -> None:
+    messages = good_messages()
+    samples = samples_of(messages)
+    order = np.arange(1000)
+    order[400:420] = order[400:420][::-1]
+    late = [samples[place]._replace(time=samples[number].time) for number, place in enumerate(order)]
+    check(
+        make_mcap(tmp_path / "a.mcap", [*only_commands(), *late]), "19 of 1000 samples were recorded out of order", 1000
+    )
+
+
+def test_shuffled_samples_are_put_back(tmp_path: Path) -> None:
+    samples = samples_of(good_messages())
+    order = np.random.default_rng(5).permutation(1000)
+    late = [samples[place]._replace(time=samples[number].time) for number, place in enumerate(order)]
+    check(make_mcap(tmp_path / "a.mcap", [*only_commands(), *late]), "recorded out of order", 1000)
+
+
+def test_single_stamps_that_jump_back_are_dropped(tmp_path: Path) -> None:
+    messages = restamped(lambda number, true: true - 10_050_000 * (number in {300, 600}))
+    check(make_mcap(tmp_path / "a.mcap", messages), "dropped 2 of 1000 samples whose stamps jump back", 998)
+
+
+@pytest.mark.parametrize("stamp", [0, 2_100_000_000_000_000_000])
+def test_stamps_of_another_time_are_dropped(stamp: int, tmp_path: Path) -> None:
+    messages = restamped(lambda number, true: stamp if number in {0, 500} else true)
+    check(make_mcap(tmp_path / "a.mcap", messages), "dropped 2 of 1000 samples whose stamps are of another time", 998)
+
+
+@pytest.mark.parametrize("jump", [-20_030_000, -5_000_000_000, 300_000_000, 7_000_000_000])
+@pytest.mark.parametrize("place", [300, 700])
+def test_clock_that_was_set_keeps_the_longest_stretch_with_its_commands(jump: int, place: int, tmp_path: Path) -> None:
+    messages = restamped(lambda number, true: true + jump * (number >= place))
+    trace = read_trace(make_mcap(tmp_path / "a.mcap", messages))
+    assert any(re.search("clock was set|of another time", text) for text in trace.findings), trace.findings
+    assert len(trace.times) == 700
+    # Commands stay where they were beside the samples that are kept.
+    truth = clean_trace()
+    kept = slice(0, 700) if place == 700 else slice(300, 1000)
+    np.testing.assert_array_equal(trace.pilot_position, truth.pilot_position[kept])
+    lead = trace.times[0] - truth.times[kept][0]
+    np.testing.assert_allclose(trace.drive.times - truth.drive.times, lead, atol=1e-8)
+
+
+def test_model_time_beside_wall_time_is_aligned(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    messages = only_commands()
+    trace = clean_trace()
+    for time, pilot in zip(trace.times.tolist(), trace.pilot_position.tolist(), strict=True):
+        arrival = EPOCH + round((time + rng.exponential(20e-6)) * 1e9)
+        messages.append(joint_state(MEASURED, arrival, (pilot, 0.0), stamp=round(time * 1e9)))
+    read = read_trace(make_mcap(tmp_path / "a.mcap", sorted(messages, key=lambda message: message.time)))
+    assert any("two clocks" in finding for finding in read.findings)
+    np.testing.assert_allclose(read.drive.times, trace.drive.times, atol=30e-6)
+    assert read.clock == "header"
+
+
+def test_computers_whose_clocks_differ_are_named(tmp_path: Path) -> None:
+    messages = restamped(lambda _, true: true - 5_000_000_000)
+    trace = read_trace(make_mcap(tmp_path / "a.mcap", messages))
+    assert any("bag times are 5.000 s from the stamps" in finding for finding in trace.findings)
+
+
+def test_stamps_that_were_never_filled_give_way_to_bag_time(tmp_path: Path) -> None:
+    path = make_mcap(tmp_path / "a.mcap", restamped(lambda *_: 0))
+    assert read_trace(path).clock == "bag"
+    check(path, "all header stamps are the same", 1000)
+
+
+def test_gap_is_counted(tmp_path: Path) -> None:
+    messages = good_messages()
+    lost = {message.time for message in samples_of(messages)[200:250]}
+    kept = [message for message in messages if message.type != JOINT_STATE or message.time not in lost]
+    check(make_mcap(tmp_path / "a.mcap", kept), r"1 gaps in the samples, the longest 0.005100 s", 950)
+
+
+def test_no_motion_is_said(tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    still = rng.normal(0, 1e-6, 1000)
+    messages = [joint_state(MEASURED, EPOCH + n * 10**5, (float(x), 0.0)) for n, x in enumerate(still)]
+    trace = read_trace(make_mcap(tmp_path / "a.mcap", [*only_commands(), *messages]))
+    assert any("no motion" in finding for finding in trace.findings)
+
+
+def test_voltage_that_stays_at_zero_is_said(tmp_path: Path) -> None:
+    messages = [*without(good_messages(), VOLTAGE), float_message(VOLTAGE, EPOCH, 0.0)]
+    trace = read_trace(make_mcap(tmp_path / "a.mcap", messages))
+    assert any("never leaves 0 V" in finding for finding in trace.findings)
+
+
+def test_millimetres_are_said(tmp_path: Path) -> None:
+    messages = [joint_state(MEASURED, EPOCH + n * 10**5, (n * 1e-3, 0.0)) for n in range(1000)]
+    trace = read_trace(make_mcap(tmp_path / "a.mcap", [*only_commands(), *messages]))
+    assert any("must be in metres" in finding for finding in trace.findings)
+
+
+def test_output_of_a_node_stands_in_for_measurements(tmp_path: Path) -> None:
+    messages = [*good_messages(measured="joint_states"), float_message("/valve/coil_current", EPOCH + 10**7, 0.5)]
+    path = make_mcap(tmp_path / "a.mcap", messages)
+    check(path, "measured/joint_states is not in the bag: /valve/joint_states", 1000)
+    current = read_trace(path).coil_current
+    assert current is not None
+    assert current.values.tolist() == [0.5]
+
+
+def test_optional_topic_of_the_wrong_type_is_left_out(tmp_path: Path) -> None:
+    messages = [*good_messages(), joint_state("/valve/measured/coil_current", EPOCH, (1.0, 1.0))]
+    check(make_mcap(tmp_path / "a.mcap", messages), "coil_current is sensor_msgs/msg/JointState, expected", 1000)
+
+
+def test_one_of_several_valves_is_chosen_by_name(tmp_path: Path) -> None:
+    path = make_mcap(tmp_path / "a.mcap", [*good_messages("/tank_1/valve"), *good_messages("/tank_2/valve")])
+    assert list_valves(path) == ("/tank_1/valve", "/tank_2/valve")
+    assert read_trace(path, "tank_2/valve/").source.endswith("(/tank_2/valve)")
+    with pytest.raises(TraceError, match="no valve /tank_3/valve; it holds /tank_1/valve, /tank_2/valve"):
+        read_trace(path, "/tank_3/valve")
+
+
+def test_joints_are_found_by_name_in_any_order(tmp_path: Path) -> None:
+    names = ("elbow", "main_plunger", "pilot_plunger")
+    messages = [joint_state(MEASURED, EPOCH + n * 10**5, (9.0, n * 1e-6, n * 2e-6), names=names) for n in range(50)]
+    trace = read_trace(make_mcap(tmp_path / "a.mcap", [*only_commands(), *messages]))
+    np.testing.assert_allclose(trace.pilot_position, np.arange(50) * 2e-6)
+    assert trace.main_position is not None
+    np.testing.assert_allclose(trace.main_position, np.arange(50) * 1e-6)
+
+
+def test_a_split_recording_is_read_in_order(tmp_path: Path) -> None:
+    messages = good_messages()
+    folder = make_folder(tmp_path / "bag", messages[:500])
+    other = make_folder(tmp_path / "other", messages[500:])
+    shutil.move(other / "other.mcap", folder / "bag_1.mcap")
+    (folder / "metadata.yaml").unlink()
+    check(folder, "kept 1002", 1000)

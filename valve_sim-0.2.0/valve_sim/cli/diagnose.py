@@ -1,0 +1,126 @@
+"""`valve-sim diagnose`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from valve_sim.cli.command_line import Command
+from valve_sim.cli.options import (
+    FILE,
+    finite_number,
+    folder_option,
+    json_option,
+    map_option,
+    params_option,
+    plant_option,
+    valve_option,
+)
+from valve_sim.cli.own_plant import chosen_params, diagnose_own, is_own
+from valve_sim.cli.printing import print_report, progress_bar, provenance
+from valve_sim.cli.reading import declared_valve, read_recordings
+from valve_sim.files.ledger import plan_files
+
+
+@click.command(cls=Command)
+@click.argument("bags", metavar="[BAG...]", type=FILE, nargs=-1)
+@click.option("--events", metavar="FILE", type=FILE, help="Table of events in place of bags, as a paper prints them.")
+@click.option(
+    "--holdout",
+    metavar="BAG",
+    type=FILE,
+    multiple=True,
+    help="Held-out recording: judges the result, takes no part in the fit. Repeatable.",
+)
+@click.option(
+    "--budget",
+    metavar="SECONDS",
+    type=finite_number(1.0),
+    default=120.0,
+    help="Work that the search may do: 4,000 simulated strokes for each second, on whatever machine.",
+)
+@click.option("--plot", metavar="PNG", type=FILE, help="Draw the plots of report.html as a picture, too (bags only).")
+@params_option
+@plant_option
+@valve_option
+@map_option
+@folder_option
+@json_option
+def diagnose(
+    *,
+    bags: tuple[Path, ...],
+    events: Path | None,
+    holdout: tuple[Path, ...],
+    budget: float,
+    plot: Path | None,
+    params: Path | None,
+    plant: Path | None,
+    name: str | None,
+    output: Path,
+    as_json: bool,
+) -> None:
+    r"""Find the effect that the model lacks.
+
+    The declared model is refitted, and sets of effects are fitted beside it. The report says how probable each set is,
+    and how large the errors are before and after, on the strokes that were fitted and on held-out ones. Without
+    --holdout, about a quarter of the strokes are held out. What the budget leaves untried makes the verdict less
+    certain.
+      valve-sim diagnose bags/friction --output results
+
+    Writes DIR/report.json, report.html for people, corrected.yaml, which valve_node, simulate and validate load, and,
+    if a further recording would tell candidates apart, record_next.yaml, a profile for simulate and command_profile.
+
+    Other recordings held out; a machine of your own; a table of events:
+      valve-sim diagnose day_1 day_2 --holdout day_3 --params my_valve.yaml \
+          --output results
+      valve-sim diagnose log.csv --plant my_axis.yaml --map map.yaml \
+          --output results
+      valve-sim diagnose --events config/paper_events.yaml --output results
+
+    Read on: docs/how_to/diagnosis.md, docs/theory/selection.md
+    """
+    if (events is None) == (not bags):
+        raise click.UsageError("diagnose takes either BAG... or --events FILE", click.get_current_context())
+    if events is not None:
+        if plot is not None:
+            raise click.UsageError(
+                "--plot is for bags; --events always leaves its pictures in DIR", click.get_current_context()
+            )
+        _diagnose_events(events, output, as_json)
+        return
+    params = chosen_params(plant, params)
+    if plant is not None and is_own(plant):
+        diagnose_own(plant, bags, holdout, budget, output, plot, as_json=as_json)
+        return
+    from valve_sim.files.whole_files import refuse_unwritable
+    from valve_sim.identification.diagnosis.run import diagnose as trace_residual
+    from valve_sim.identification.estimation.budget import Budget
+    from valve_sim.identification.reporting.diagnosis_json import to_json
+    from valve_sim.identification.reporting.files import FILES, write_diagnosis
+    from valve_sim.identification.reporting.text import diagnosis_text
+
+    valve = declared_valve(params)
+    planned = [*(output / file for file in FILES), *([] if plot is None else [plot])]
+    plan_files(*planned)
+    refuse_unwritable(*planned)
+    traces, held_out = read_recordings(bags, name, valve), read_recordings(holdout, name, valve)
+    with progress_bar() as progress:
+        result = trace_residual(traces, held_out, valve, progress, Budget.of_seconds(budget))
+    report = to_json(result)
+    origin = provenance(params, [report["verdict"]["summary"]])
+    written = write_diagnosis(result, output, origin, plot, report=report)
+    print_report(report, diagnosis_text(result), written, as_json)
+
+
+def _diagnose_events(events: Path, output: Path, as_json: bool) -> None:
+    from valve_sim.identification.diagnosis.events import diagnose_events
+    from valve_sim.identification.plants.event_table import read_event_table
+    from valve_sim.identification.reporting.event_files import write_event_report
+    from valve_sim.identification.reporting.event_report import event_json, event_text
+
+    table = read_event_table(events)
+    with progress_bar() as progress:
+        found = diagnose_events(table, progress)
+    written = write_event_report(found, output)
+    print_report(event_json(found), event_text(found), written, as_json)

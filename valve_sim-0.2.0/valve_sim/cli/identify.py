@@ -1,0 +1,135 @@
+"""`valve-sim identify`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from valve_sim.cli.cluster import chosen_cluster, cluster_options, refuse_without_fleet
+from valve_sim.cli.command_line import Command
+from valve_sim.cli.options import (
+    bags_argument,
+    folder_option,
+    json_option,
+    map_option,
+    params_option,
+    plant_option,
+    valve_option,
+)
+from valve_sim.cli.own_plant import chosen_params, identify_own, is_own
+from valve_sim.cli.printing import print_report, progress_bar, provenance, refuse
+from valve_sim.cli.reading import chosen_map, declared_valve, read_recordings
+from valve_sim.files.json_text import json_text
+from valve_sim.files.ledger import plan_files
+
+if TYPE_CHECKING:
+    from valve_sim.identification.diagnosis.identify import Identification
+    from valve_sim.model import Valve
+
+
+@click.command(cls=Command)
+@bags_argument
+@params_option
+@plant_option
+@click.option(
+    "--free",
+    "freed",
+    metavar="A,B",
+    multiple=True,
+    help="What to refit: declared parameters (a0 ... a3: the polynomial), of effects, e.g. coulomb_friction.force, and "
+    "of gas, e.g. gas.outlet_volume.  [default: pilot_damping,main_damping; for a valve with one plunger main_damping]",
+)
+@click.option("--shared", is_flag=True, help="For many recordings: each is fitted by itself, and the valve is shared.")
+@cluster_options(
+    "With --shared: a Dask scheduler, e.g. tcp://10.0.0.1:8786.",
+    "With --shared: processes on this machine. Default: this one alone.",
+)
+@valve_option
+@map_option
+@folder_option
+@json_option
+def identify(
+    *,
+    bags: tuple[Path, ...],
+    params: Path | None,
+    plant: Path | None,
+    freed: tuple[str, ...],
+    shared: bool,
+    name: str | None,
+    output: Path,
+    as_json: bool,
+) -> None:
+    r"""Refit parameters to recordings.
+
+    Prints each value with its 95 % interval, and says which values the data do not determine. Writes DIR/identify.json
+    and DIR/identified.yaml, which valve_node, simulate and validate load.
+      valve-sim identify bags/eight_strokes.mcap --output results
+
+    Several recordings, with other parameters than the dampings:
+      valve-sim identify day_1 day_2 --params my_valve.yaml \
+          --free pilot_damping,main_damping,a0 --output results
+    Many recordings of one valve, each fitted by itself, in four processes:
+      valve-sim identify bags/* --shared --workers 4 --output results
+    A machine of your own:
+      valve-sim identify log.csv --plant my_axis.yaml --map map.yaml \
+          --output results
+
+    Read on: docs/tutorials/first_diagnosis.md, docs/theory/estimation.md
+    """
+    from valve_sim.files.parameter_files import save_valve
+    from valve_sim.files.whole_files import refuse_unwritable, write_whole
+    from valve_sim.identification.diagnosis.identify import identify as refit
+    from valve_sim.identification.plants.valve import dampings_of
+    from valve_sim.identification.reporting.identification import identification_json, identification_text
+
+    free = ",".join(freed) if freed else None
+    cluster = chosen_cluster()
+    if not shared and cluster != (None, None):
+        raise click.UsageError("--scheduler and --workers are for --shared", click.get_current_context())
+    params = chosen_params(plant, params)
+    if plant is not None and is_own(plant):
+        if shared:
+            refuse("--shared: is for valves; give all recordings of a plant to one identify")
+        identify_own(plant, bags, free, output, as_json=as_json)
+        return
+    written = (output / "identify.json", output / "identified.yaml")
+    plan_files(*written)
+    refuse_unwritable(*written)
+    valve = declared_valve(params)
+    names = dampings_of(valve)
+    if free is not None:
+        names = tuple(dict.fromkeys(part.strip() for part in free.split(",") if part.strip()))
+    if not names:
+        refuse(f"--free {free!r}: found no name, expected names separated by commas")
+    if shared:
+        result = _shared(bags, (valve, names, name), cluster)
+    else:
+        traces = read_recordings(bags, name, valve)
+        with progress_bar() as progress:
+            result = refit(traces, valve, names, progress)
+    report = identification_json(result)
+    write_whole(output / "identify.json", json_text(report))
+    values = [f"{key}: {interval.value:.6g} ± {interval.stderr:.2g}" for key, interval in result.intervals.items()]
+    save_valve(output / "identified.yaml", result.valve, provenance(params, [f"identified: {', '.join(values)}"]))
+    print_report(report, identification_text(result), written, as_json)
+
+
+def _shared(
+    bags: tuple[Path, ...],
+    what: tuple[Valve, tuple[str, ...], str | None],
+    cluster: tuple[str | None, int | None],
+) -> Identification:
+    """In this process, or, where workers are asked for, on them."""
+    is_here = cluster == (None, None)
+    if not is_here:
+        refuse_without_fleet("identify on a cluster")
+    from valve_sim.fleet.cluster import Cluster
+    from valve_sim.fleet.shared import Recordings, identify_shared
+    from valve_sim.warm import warm
+
+    with progress_bar() as progress, Cluster(*cluster, before=warm) as started:
+        connect = (lambda: None) if is_here else started.client
+        paths = [bag.absolute() for bag in dict.fromkeys(bags)]
+        return identify_shared(paths, Recordings(*what, chosen_map()), connect, progress)

@@ -1,0 +1,209 @@
+"""The commands with `--plant`: a machine of a user's own equations in the place of the valve."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from valve_sim.cli.printing import print_json, print_report, progress_bar, provenance, refuse, shown
+from valve_sim.cli.reading import chosen_map_file
+from valve_sim.files.ledger import plan_files
+
+if TYPE_CHECKING:
+    from valve_sim.identification.estimation.result import Fit
+    from valve_sim.identification.plants.own import OwnPlant
+
+OUTSIDE = 1
+"""Exit code where a recording is outside the tolerance."""
+
+
+def is_own(plant: Path | None) -> bool:
+    """Whether --plant names a machine that is no valve."""
+    if plant is None:
+        return False
+    from valve_sim.files.plant_files import is_own_plant
+
+    return is_own_plant(plant)
+
+
+def chosen_params(plant: Path | None, params: Path | None) -> Path | None:
+    """The parameter file of a valve, which --plant may name, too."""
+    if plant is not None and params is not None:
+        refuse("--plant and --params: both name what is declared; give one of them")
+    return plant if params is None else params
+
+
+def read_plant(plant: Path, logs: Sequence[Path]) -> OwnPlant:
+    """A plant with its recordings; what was dropped on reading, and how inputs are joined, is said on stderr."""
+    import numpy as np
+
+    from valve_sim.files.plant_files import load_plant
+    from valve_sim.identification.plants.own import OwnPlant
+    from valve_sim.traces.columns import Columns, read
+
+    file = load_plant(plant)
+    recordings = []
+    for log in logs:
+        recording = read(log, chosen_map_file())
+        if chosen_map_file() is None:  # a table whose columns have the plant's names, and perhaps others beside them
+            own = {name: own for name, own in recording.columns.items() if name in {**file.inputs, **file.outputs}}
+            recording = Columns(recording.source, own, recording.findings)
+        for finding in recording.findings:
+            click.echo(shown(f"valve-sim: {log}: {finding}"), err=True)
+        recordings.append(recording)
+    plant_with_data = OwnPlant(file, recordings)
+    for finding in plant_with_data.findings:
+        click.echo(shown(f"valve-sim: {finding}"), err=True)
+    for name in file.inputs if file.states else ():
+        column = recordings[0][name]
+        held = file.inputs[name].held if column.held is None else column.held
+        half = 500.0 * float(np.median(np.diff(column.times))) if len(column.times) > 1 else 0.0
+        taken = (
+            "held between samples; straight lines would act earlier"
+            if held
+            else ("straight between samples; held levels would act later")
+        )
+        click.echo(f"valve-sim: {name} is {taken} by half of one, {half:.3g} ms", err=True)
+    return plant_with_data
+
+
+def _say_better_conventions(found: Fit) -> None:
+    """Say on stderr which inputs the data contradict that they are held, or straight, between samples."""
+    from valve_sim.identification.diagnosis.own_plant import better_conventions
+    from valve_sim.identification.reporting.units import quantity
+
+    for own in better_conventions(found):
+        other = "straight" if own.held else "held"
+        click.echo(
+            shown(
+                f"valve-sim: {own.name}: {other} between samples would leave an rms error of "
+                f"{quantity(own.after, own.unit)}, not {quantity(own.before, own.unit)}; "
+                f"write between: {other}, and repeat"
+            ),
+            err=True,
+        )
+
+
+def identify_own(plant: Path, logs: Sequence[Path], free: str | None, output: Path, *, as_json: bool) -> None:
+    """`identify --plant`."""
+    from valve_sim.files.json_text import json_text
+    from valve_sim.files.whole_files import refuse_unwritable, write_whole
+    from valve_sim.identification.diagnosis.own_plant import identify_plant
+    from valve_sim.identification.reporting.own_plant import (
+        changed_plant,
+        plant_identification_json,
+        plant_identification_text,
+        save_plant,
+    )
+
+    written = (output / "identify.json", output / "identified.yaml")
+    plan_files(*written)
+    refuse_unwritable(*written)
+    machine = read_plant(plant, logs)
+    names = None if free is None else [part.strip() for part in free.split(",") if part.strip()]
+    with progress_bar() as progress:
+        result = identify_plant(machine, names, progress)
+    _say_better_conventions(result.fit)
+    report = plant_identification_json(result)
+    write_whole(written[0], json_text(report))
+    effects = tuple(dict.fromkeys(name.partition(".")[0] for name in result.intervals if "." in name))
+    values = [f"{key}: {own.value:.6g} ± {own.stderr:.2g}" for key, own in result.intervals.items()]
+    content = changed_plant(machine.file, result.fit, effects)
+    save_plant(written[1], content, provenance(plant, [f"identified: {', '.join(values)}"]))
+    print_report(report, plant_identification_text(result), written, as_json)
+
+
+def diagnose_own(
+    plant: Path,
+    logs: Sequence[Path],
+    holdout: Sequence[Path],
+    budget: float,
+    output: Path,
+    plot: Path | None,
+    *,
+    as_json: bool,
+) -> None:
+    """`diagnose --plant`."""
+    from valve_sim.files.whole_files import refuse_unwritable
+    from valve_sim.identification.diagnosis.run import diagnose_plant
+    from valve_sim.identification.estimation.budget import Budget
+    from valve_sim.identification.reporting.diagnosis_json import to_json
+    from valve_sim.identification.reporting.files import FILES, write_diagnosis
+    from valve_sim.identification.reporting.text import diagnosis_text
+
+    planned = [*(output / file for file in FILES), *([] if plot is None else [plot])]
+    plan_files(*planned)
+    refuse_unwritable(*planned)
+    machine = read_plant(plant, logs)
+    other = read_plant(plant, holdout) if holdout else None
+    with progress_bar() as progress:
+        result = diagnose_plant(machine, other, progress, Budget.of_seconds(budget))
+    _say_better_conventions(result.after.fit)
+    report = to_json(result)
+    written = write_diagnosis(result, output, provenance(plant, [report["verdict"]["summary"]]), plot, report=report)
+    print_report(report, diagnosis_text(result), written, as_json)
+
+
+def validate_own(
+    plant: Path, logs: Sequence[Path], tolerance: float | None, junit: Path | None, *, as_json: bool
+) -> int:
+    """`validate --plant`: the exit code."""
+    from valve_sim.files.whole_files import refuse_unwritable, write_whole
+    from valve_sim.identification.diagnosis.own_plant import validate_plant
+    from valve_sim.identification.reporting.own_plant import (
+        plant_validation_json,
+        plant_validation_junit,
+        plant_validation_text,
+    )
+
+    planned = [path for path in (junit,) if path]
+    plan_files(*planned)
+    refuse_unwritable(*planned)
+    result = validate_plant(read_plant(plant, logs), tolerance)
+    if junit is not None:
+        write_whole(junit, shown(plant_validation_junit(result)))
+    print_report(plant_validation_json(result), plant_validation_text(result), planned, as_json)
+    return 0 if result.passed else OUTSIDE
+
+
+def simulate_own(
+    plant: Path,
+    log: Path | None,
+    span: tuple[float | None, float],
+    noise_seed: int | None,
+    output: Path,
+    *,
+    as_json: bool,
+) -> None:
+    """`simulate --plant`: what its sensors would show, as a table in the units of its file."""
+    import numpy as np
+
+    from valve_sim.files.plant_files import load_plant
+    from valve_sim.files.whole_files import write_whole
+    from valve_sim.identification.plants.own_simulation import simulate_plant
+    from valve_sim.traces.columns import read
+
+    if output.suffix != ".csv":
+        refuse(f"--output {output}: expected x.csv, a table, with --plant")
+    file = load_plant(plant)
+    recording = None if log is None else read(log, chosen_map_file())
+    if recording is None and file.inputs:
+        refuse(f"--plant {plant}: has inputs ({', '.join(file.inputs)}); give a LOG that holds them, with --map")
+    duration, rate = span
+    if recording is None and duration is None:
+        refuse("--duration: is missing; give it, or a LOG")
+    columns = simulate_plant(file, recording, duration, rate)
+    if noise_seed is not None:
+        random = np.random.default_rng(noise_seed)
+        for name, own in file.outputs.items():
+            columns[name] = columns[name] + random.normal(0.0, (own.noise or 0.0) / own.unit.factor, len(columns[name]))
+    header, rows = ",".join(columns), np.column_stack(list(columns.values()))
+    lines = [header, *(",".join(f"{value:.12g}" for value in row) for row in rows.tolist())]
+    write_whole(output, "\n".join(lines) + "\n")
+    if as_json:
+        print_json({"output": output, "samples": len(columns["time"]), "columns": list(columns)})
+        return
+    click.echo(f"wrote {output} ({len(columns['time'])} samples: {', '.join(columns)})")

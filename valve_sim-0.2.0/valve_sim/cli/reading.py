@@ -1,0 +1,61 @@
+"""What commands read: parameters, maps, recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from valve_sim.cli.options import MAP_KEY
+from valve_sim.cli.printing import shown
+
+if TYPE_CHECKING:
+    from valve_sim.files.recording_map import RecordingMap
+    from valve_sim.model import Valve, ValveParameters
+    from valve_sim.traces import Trace
+
+
+def declared_valve(params: Path | None) -> Valve:
+    """The valve of a parameter file, or the shipped one."""
+    from valve_sim.files.parameter_files import default_valve, load_valve
+
+    return default_valve() if params is None else load_valve(params)
+
+
+def declared_parameters(params: Path | None) -> ValveParameters:
+    """The declared parameters alone of a parameter file, or of the shipped one, which needs no compiled code."""
+    from valve_sim.files.parameter_sections import default_parameters
+
+    return default_parameters() if params is None else declared_valve(params).parameters
+
+
+def chosen_map_file() -> Path | None:
+    """The file given as --map."""
+    path: Path | None = click.get_current_context().meta.get(MAP_KEY)
+    return path
+
+
+def chosen_map() -> RecordingMap | None:
+    """The map of a recording given as --map."""
+    from valve_sim.files.recording_map import load_map
+
+    path = chosen_map_file()
+    return None if path is None else load_map(path)
+
+
+def read_recordings(bags: Sequence[Path], name: str | None, valve: Valve) -> list[Trace]:
+    """Read recordings. What was dropped or repaired is reported on stderr; numbers in another unit are refused."""
+    from valve_sim.traces import another_valve, left_out_finding, read_trace, refuse_doubtful_units
+
+    traces, recording_map = [], chosen_map()
+    for bag in bags:
+        # No fit or check asks for the main plunger, and of a long recording it is large.
+        trace = replace(read_trace(bag, name, recording_map), main_position=None)
+        refuse_doubtful_units(trace, valve.parameters)
+        for finding in (*trace.findings, *left_out_finding(trace), *another_valve(trace, valve.parameters)):
+            click.echo(shown(f"valve-sim: {bag}: {finding}"), err=True)
+        traces.append(trace)
+    return traces

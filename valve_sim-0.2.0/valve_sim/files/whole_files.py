@@ -1,0 +1,66 @@
+"""Files are written whole or not at all: under a hidden name first, which then takes the place of the old file."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from valve_sim.files.ledger import note_written
+from valve_sim.model.errors import ValveError
+
+
+@contextmanager
+def atomic_write(path: Path, refusal: type[ValveError] = ValveError) -> Iterator[Path]:
+    """Yield a temporary name to write to; on success, move the file to its own name. Creates its folder.
+
+    Args:
+        path: the file, replaced if it exists.
+        refusal: the error that is raised.
+
+    Raises:
+        ValveError: it cannot be written; of the type `refusal`.
+    """
+    if not path.absolute().name:
+        raise refusal(f"{path}: cannot be written (is a folder); choose the name of a file")
+    # A path such as "." has a name only when it is absolute; that a folder cannot be replaced is found out at the end.
+    partial = path.absolute().with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield partial
+        partial.replace(path)
+        note_written(path)
+    except OSError as error:
+        raise refusal(f"{path}: cannot be written ({error.strerror}); choose another place") from error
+    finally:
+        # Without the folder there is nothing to remove, and the error above says why.
+        with suppress(OSError):
+            partial.unlink(missing_ok=True)
+
+
+def write_whole(path: Path, text: str, refusal: type[ValveError] = ValveError) -> None:
+    """Write a text file in UTF-8; see `atomic_write`."""
+    with atomic_write(path, refusal) as partial:
+        partial.write_text(text, encoding="utf-8")
+
+
+def refuse_unwritable(*paths: Path) -> None:
+    """Say before long work, not after it, that files cannot be written. Makes nothing.
+
+    Raises:
+        ValveError: one is a folder, or its own folder is a file or is not ours to write to.
+    """
+    for path in paths:
+        try:
+            place = next(above for above in path.absolute().parents if above.exists())
+            why_not = 0 if os.access(place, os.W_OK | os.X_OK) else errno.EACCES
+            if not place.is_dir():
+                why_not = errno.ENOTDIR
+            elif path.is_dir():
+                why_not = errno.EISDIR
+        except OSError as error:  # a name that is too long, say
+            why_not = error.errno or errno.EINVAL
+        if why_not:
+            raise ValveError(f"{path}: cannot be written ({os.strerror(why_not)}); choose another place")

@@ -1,0 +1,1 @@
+"""Fits, diagnoses and monitoring of machines from recordings. Its rooms, and why: docs/architecture.md."""

@@ -1,0 +1,1 @@
+"""Search, posterior and held-out strokes in one run: recordings to a verdict, and what to record next."""

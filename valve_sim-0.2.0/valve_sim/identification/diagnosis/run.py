@@ -1,0 +1,465 @@
+"""Close the loop: trace the residual to the missing effect, add it, report the error before and after.
+
+The declared model is refitted, sets of effects are fitted beside it (`selection.search`), and the posterior over all of
+them (`selection.posterior`) says what is missing, or that something without a name acts. Held-out strokes are predicted
+with everything that training has estimated; they may raise the odds of something unnamed, and nothing else.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valve_sim.identification.diagnosis.experiment_design import Recommendation, recommend
+from valve_sim.identification.diagnosis.outcome import Candidate, Diagnosis, Rival, State, Verdict, Worth
+from valve_sim.identification.estimation.budget import Budget
+from valve_sim.identification.estimation.followed_positions import follows_positions
+from valve_sim.identification.estimation.intervals import Interval, covariance_interval, profile_interval
+from valve_sim.identification.estimation.linearised import Linearised
+from valve_sim.identification.estimation.noise import Noise
+from valve_sim.identification.estimation.problem import Mask, Problem, shows_rest
+from valve_sim.identification.estimation.recorded_errors import with_uncertain_sizes
+from valve_sim.identification.estimation.result import Fit, rmse
+from valve_sim.identification.estimation.solver import fit
+from valve_sim.identification.estimation.state_of_recording import with_learned_errors
+from valve_sim.identification.plants.check import check_plant, named_interrupts
+from valve_sim.identification.plants.hold_out import held_out_strokes
+from valve_sim.identification.plants.protocol import Plant, strokes_of_plant
+from valve_sim.identification.plants.stroke_choice import choose_strokes
+from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.identification.selection.detection_limits import detection_limits
+from valve_sim.identification.selection.force_maps import (
+    Unexplained,
+    describe,
+    fit_maps,
+)
+from valve_sim.identification.selection.posterior import (
+    LARGEST_CLASS,
+    Decision,
+    Grounds,
+    Posterior,
+    Set,
+    leader_of,
+)
+from valve_sim.identification.selection.prediction import HeldOut, predicted
+from valve_sim.identification.selection.residual_tests import adequacy
+from valve_sim.identification.selection.search import PROMISING, Progress, Search, fit_of_declared, words
+from valve_sim.identification.selection.starts import all_near_off, squared_cost
+from valve_sim.model import SimulationError, Valve
+from valve_sim.traces import Trace
+from valve_sim.traces.checking import check_traces
+
+__all__ = ["Candidate", "Diagnosis", "DiagnosisSession", "State", "Verdict", "begin", "diagnose", "diagnose_plant"]
+
+SAMPLES_EACH: Final = 10
+"""Samples for each parameter, below which a model with all effects would explain noise, too."""
+NOISIER: Final = 1.5
+"""Times what the best model leaves, beyond which the noise that was taken from the largest one is too much of it."""
+LISTED: Final = 30
+"""Most candidates in the report."""
+
+
+def diagnose(
+    traces: Sequence[Trace],
+    holdout: Sequence[Trace],
+    valve: Valve,
+    progress: Progress | None = None,
+    budget: Budget | None = None,
+) -> Diagnosis:
+    """Trace the residual of a declared valve to the effect it lacks.
+
+    Args:
+        traces: training data; of very many samples some strokes are chosen.
+        holdout: other recordings of the same valve, or none: strokes are held out inside.
+        valve: the declared valve.
+        progress: told what is being tried, and the fraction done.
+        budget: how much work it may do; default as much as it takes.
+
+    Raises:
+        SimulationError: the declared valve cannot be simulated.
+        TraceError: a recording has columns that cannot be used, say with NaN in them.
+    """
+    check_traces(traces)
+    if holdout:
+        check_traces(holdout)
+    fitted, choice = choose_strokes(traces)
+    others = ValvePlant(choose_strokes(holdout)[0], valve) if holdout else None
+    found = diagnose_plant(ValvePlant(fitted, valve), others, progress, budget)
+    return replace(found, choice=choice)
+
+
+def diagnose_plant(
+    plant: Plant, holdout: Plant | None, progress: Progress | None = None, budget: Budget | None = None
+) -> Diagnosis:
+    """Trace the residual of any plant to the effect it lacks.
+
+    Args:
+        plant: the machine with its training data. holdout: the same machine with other data, or None.
+        progress, budget: as of `diagnose`.
+
+    Raises:
+        PlantError: a plant does not keep to what a `Plant` promises.
+        SimulationError: the declared model cannot be simulated.
+    """
+    return begin(plant, holdout, progress, budget).end()
+
+
+def begin(
+    plant: Plant,
+    holdout: Plant | None = None,
+    progress: Progress | None = None,
+    budget: Budget | None = None,
+    *,
+    least: Mapping[str, float] | None = None,
+    known: Mapping[str, Noise] | None = None,
+    held: Mapping[str, float] | None = None,
+) -> DiagnosisSession:
+    """The first part of `diagnose_plant`: the declared model, refitted.
+
+    Args:
+        plant, holdout, progress, budget: as there.
+        least: standard deviations by kind of channel, which count where the data show less noise.
+        known: noise by kind of channel, which counts where the machine is never still for long enough to show it.
+        held: sizes of errors of the recordings that are known, as of `with_learned_errors`.
+
+    Raises:
+        PlantError: a plant does not keep to what a `Plant` promises.
+        SimulationError: the declared model cannot be simulated.
+    """
+    budget = budget or Budget.unlimited()
+    with named_interrupts(plant):
+        for one in (plant,) if holdout is None else (plant, holdout):
+            check_plant(one)
+        return _begun(plant, holdout, progress, budget, (least or {}, known or {}, held or {}))
+
+
+def _begun(
+    plant: Plant,
+    holdout: Plant | None,
+    progress: Progress | None,
+    budget: Budget,
+    given: tuple[Mapping[str, float], Mapping[str, Noise], Mapping[str, float]],
+) -> DiagnosisSession:
+    """The declared model, refitted, of a plant that keeps to its protocol."""
+    least, known, held = given
+    say = progress or (lambda what, fraction: None)
+    train_mask, holdout_mask = _split(plant) if holdout is None else (None, None)
+    problem = Problem(plant, train_mask, budget=budget)
+    never_still = [kind for kind, noise in problem.noises.items() if noise.samples == 0]
+    problem = _with_least(problem.with_noises({kind: known[kind] for kind in never_still if kind in known}), least)
+    unknown = [kind for kind in never_still if kind not in known]
+    if unknown:
+        say("noise, by what all effects together leave", 0.0)
+        problem = problem.with_noise_left_by(_largest_fit(problem).values)
+    held_out = None
+    if holdout is not None:
+        held_out = Problem(holdout, budget=budget).with_noises({kind: problem.noises[kind] for kind in never_still})
+        held_out = _with_least(held_out, least)
+    elif holdout_mask is not None:
+        held_out = problem.restricted(holdout_mask)
+    reads_at_rest = not held or shows_rest(plant)
+    learned, _ = with_learned_errors(problem.condensed(), fit_of_declared, held=held, reads_at_rest=reads_at_rest)
+    search = Search(learned, progress)
+    search.fit_declared()
+
+    def again(noises: Mapping[str, Noise]) -> DiagnosisSession:
+        return _begun(plant, holdout, progress, budget, (least, {**known, **noises}, held))
+
+    return DiagnosisSession(search, HeldOut(held_out), say, again if unknown else None)
+
+
+class VerdictWithIntervals(NamedTuple):
+    """A verdict, and the intervals of what it frees, by name."""
+
+    verdict: Verdict
+    intervals: Mapping[str, Interval]
+
+
+class DiagnosisSession:
+    """A diagnosis of which the declared model has been fitted, and nothing else tried yet.
+
+    Args:
+        search: of the training data. held_out: what is predicted. say: told what is being done, and the fraction done.
+        again: begins anew with this noise by kind of channel; None where the data themselves have shown the noise.
+    """
+
+    def __init__(
+        self,
+        search: Search,
+        held_out: HeldOut,
+        say: Progress,
+        again: Callable[[Mapping[str, Noise]], DiagnosisSession] | None = None,
+    ) -> None:
+        self._search, self._held_out, self._say, self._again = search, held_out, say, again
+        self._plant = search.problem.plant
+        self._strokes = len(strokes_of_plant(self._plant))
+
+    @property
+    def declared(self) -> Fit:
+        """The refitted declared model."""
+        return self._search.tried[()].fit
+
+    def name(self) -> VerdictWithIntervals:
+        """Search and decide: the verdict with its intervals, without the further contents of a report."""
+        self._run(is_full=False)
+        decision = self._decided().decision
+        result = self._fit_of(decision)
+        exact = covariance_interval if decision.unnamed > PROMISING else _profile
+        return VerdictWithIntervals(self._verdict(decision), {name: exact(result, name) for name in result.free})
+
+    def end(self, *, is_full: bool = False) -> Diagnosis:
+        """Search, decide, and describe the result.
+
+        Args:
+            is_full: whether every effect is fitted where the declared model leaves nothing to be found, too.
+        """
+        with named_interrupts(self._plant):
+            return self._ended(is_full=is_full)
+
+    def _ended(self, *, is_full: bool) -> Diagnosis:
+        self._run(is_full=is_full)
+        grounds = self._decided()
+        posterior, decision = grounds.posterior, grounds.decision
+        self._say("intervals", 0.95)
+        result = self._settled(decision)
+        # Before and after are compared with the same errors of the recordings: else these would hide what was missing.
+        errors = result.problem.errors
+        is_declared = self._fit_of(decision) is self.declared
+        sizes = None if errors is None else errors.sizes
+        result = with_uncertain_sizes(result)
+        base = result if is_declared else with_uncertain_sizes(self._search.settled(self.declared, sizes))
+        verdict = self._verdict(decision)
+        before = self._state(base, profile=False)
+        size = self._search.tried[()].spread.size if verdict.kind == "unknown" else 0.0
+        after = (
+            before
+            if result is base and size == 0.0
+            else self._state(result, profile=verdict.kind == "effects", size=size)
+        )
+        maps = self._unexplained() if verdict.kind == "unknown" else ()
+        limits = detection_limits(base, self._search.rivals) if verdict.kind == "none" else {}
+        budget = self._search.problem.budget
+        return Diagnosis(
+            self._plant, before, after, verdict, self._candidates(posterior), posterior.inclusion(),
+            maps[0] if maps else None, maps,
+            tuple(channel.name for channel in self._plant.channels), self._recommendation(verdict, decision),
+            self._held_out_gain(base, result),
+            tuple(map(words, [*self._search.untried, *self._search.impossible])), budget.spent, budget.strokes, limits,
+            self._rivals(posterior, decision, result), grounds=grounds,
+        )  # fmt: skip
+
+    def _run(self, *, is_full: bool) -> None:
+        """Search; where the best model leaves far less than was taken for noise, once more with that as noise.
+
+        Of a machine that is never still the noise is what the largest model leaves. A fit of all effects at once may
+        end far from where one of them alone does, and its noise then hides whatever else is missing.
+        """
+        self._search.run(is_full=is_full)
+        while self._again is not None and not self._search.problem.budget.is_used_up:
+            problem = self._search.problem
+            best = max(self._search.tried.values(), key=lambda entry: entry.plain).fit
+            left = problem.with_noise_left_by(best.values).noises
+            quieter = {kind: own for kind, own in left.items() if NOISIER * own.sigma < problem.noises[kind].sigma}
+            if not quieter:
+                break
+            known = {kind: own for kind, own in problem.noises.items() if own.samples == 0}
+            anew = self._again({**known, **quieter})
+            self._search, self._held_out = anew._search, anew._held_out
+            self._search.run(is_full=is_full)
+
+    # -- what is claimed -----------------------------------------------------------------------------------------------
+
+    def _decided(self) -> Grounds:
+        """The table of evidence from which the verdict follows, with curves and held-out odds."""
+        posterior = self._search.posterior()
+        curves = self._search.curves if posterior.unnamed > PROMISING else []
+        best = leader_of({names: share.total for names, share in posterior.shares.items()}, posterior.fitted)
+        found = self._search.tried[best].fit
+        self._held_out.learn_errors(found)
+        raised = {best: self._held_out.log_odds_of_unnamed(found)}
+        return Grounds(
+            self._search.rivals,
+            self._search.table(raised[best]),
+            tuple(Linearised(entry.fit).integrated for entry in curves),
+            raised,
+            {name: len(choice.parameters) for name, choice in self._plant.effects.items()},
+        )
+
+    def _fit_of(self, decision: Decision) -> Fit:
+        """The corrected model: what is named, or the refitted declared model where nothing is."""
+        return self.declared if decision.kind == "unknown" else self._search.tried[decision.names].fit
+
+    def _settled(self, decision: Decision) -> Fit:
+        """The corrected model, with errors of the recordings that suit it: beside something unnamed, beside that."""
+        beside = self._search.tried[()].spread.errors if decision.kind == "unknown" else None
+        return self._search.settled(self._fit_of(decision), beside)
+
+    def _share(self, result: Fit) -> float:
+        """How much of the squared error of the declared model beyond noise a fit explains, from 0 to 1."""
+        noise = self._search.problem.noise.sigma**2
+        before, after = (max(rmse(one) ** 2 - noise, 0.0) for one in (self.declared, result))
+        return min(1.0, max(0.0, 1.0 - after / before)) if before > 0.0 else 0.0
+
+    def _left(self, result: Fit) -> float:
+        """The squared error of a fit beyond noise."""
+        return max(float(rmse(result)) ** 2 - float(self._search.problem.noise.sigma) ** 2, 0.0)
+
+    def _worth(self, names: Set) -> dict[str, Worth]:
+        """How much of the squared error each of some named effects explains."""
+        left = {frozenset(key): self._left(tried.fit) for key, tried in self._search.tried.items()}
+        declared, whole = left[frozenset()], left[frozenset(names)]
+        gains: dict[str, float] = {}
+        for name in names:
+            alone, without = left.get(frozenset([name])), left.get(frozenset(names) - {name})
+            orders = [declared - alone] if alone is not None else []
+            orders += [without - whole] if without is not None else []
+            if not orders:
+                return {}
+            gains[name] = max(0.0, sum(orders) / len(orders))
+        total = sum(gains.values())
+        if declared <= 0.0 or total <= 0.0:
+            return {}
+        return {
+            name: Worth(gain / total, float(np.minimum(1.0, left.get(frozenset([name]), math.nan) / declared)))
+            for name, gain in gains.items()
+        }
+
+    def _verdict(self, decision: Decision) -> Verdict:
+        return Verdict(
+            decision.kind, decision.names, decision.others, decision.probability, decision.unnamed,
+            self._share(self._search.tried[decision.names].fit), self._strokes, self._worth(decision.names),
+        )  # fmt: skip
+
+    # -- what a report has beside --------------------------------------------------------------------------------------
+
+    def _state(self, result: Fit, *, profile: bool, size: float = 0.0) -> State:
+        """A fit with its errors, test and intervals."""
+        here = predicted(result, result, size)
+        there = self._held_out.predicted(result, size)
+        intervals = {
+            name: _profile(result, name)
+            if profile and ("." in name or result.is_collinear(name))
+            else covariance_interval(result, name)
+            for name in result.free
+        }
+        return State(
+            result, None if there is None else there.fit, here.rmse, math.nan if there is None else there.rmse,
+            here.deviation, math.nan if there is None else there.deviation, here.bands,
+            {} if there is None else there.bands, adequacy(result), intervals,
+        )  # fmt: skip
+
+    def _held_out_gain(self, base: Fit, result: Fit) -> float:
+        """Ln of how much more probable a fit makes held-out strokes than the declared model."""
+        before, after = self._held_out.log_density(base), self._held_out.log_density(result)
+        return math.nan if before is None or after is None else after - before
+
+    def _candidates(self, posterior: Posterior) -> tuple[Candidate, ...]:
+        """Every set of effects that was fitted, the most probable first, at most `LISTED`."""
+        base, found = self._search.tried[()], []
+        ordered = sorted((names for names in self._search.tried if names), key=lambda n: -posterior.shares[n].total)
+        for names in ordered[:LISTED]:
+            tried, share = self._search.tried[names], posterior.shares[names]
+            there = self._held_out.fit(tried.fit)
+            timing = any(own in self._plant.timing_errors for own in tried.fit.nuisances)
+            found.append(
+                Candidate(
+                    names, timing, share.total, share.unnamed, tried.plain, -2.0 * (tried.plain - base.plain),
+                    rmse(tried.fit), math.nan if there is None else rmse(there),
+                    {name: covariance_interval(tried.fit, name) for name in tried.fit.free},
+                )
+            )  # fmt: skip
+        return tuple(found)
+
+    def _unexplained(self) -> tuple[Unexplained, ...]:
+        """What the declared model leaves without a name, as forces, the one that explains most of it first."""
+        base = self.declared
+        maps = fit_maps(base, self._search.curves, self._say)
+        return tuple(describe(entry.choice, entry.fit, base) for entry in maps)
+
+    def _near(self, decision: Decision) -> list[Set]:
+        """The named effects, and the look-alikes of each."""
+        found = [decision.names]
+        for name, others in decision.others.items():
+            for other in others:
+                names = tuple(sorted({*decision.names, other} - {name}))
+                if names in self._search.tried:
+                    found.append(names)
+        return found[:LARGEST_CLASS]
+
+    def _recommendation(self, verdict: Verdict, decision: Decision) -> Recommendation | None:
+        """The recording that separates the competing models best."""
+        if not verdict.is_open:
+            return None
+        candidates = {" + ".join(names): self._search.tried[names].fit for names in self._near(decision)}
+        return recommend(candidates, self._plant.experiments) if len(candidates) > 1 else None
+
+    def _rivals(self, posterior: Posterior, decision: Decision, result: Fit) -> tuple[Rival, ...]:
+        """What competes with the corrected model, where positions follow from a fit.
+
+        Beside the declared model, which stands where something unnamed acts, the nearest names compete as well.
+        """
+        if not follows_positions(self._plant) or decision.kind == "none":
+            return ()
+        near, is_declared = self._near(decision), decision.kind == "unknown"
+        best, found = posterior.shares[() if is_declared else decision.names].total, []
+        for names in near if is_declared and decision.names else near[1:]:
+            share = posterior.shares[names].total
+            weight = share / best if share < best else 1.0
+            other = self._search.tried[names].fit
+            found.append(Rival(other, self._held_out.fit(other), weight))
+        return tuple(found)
+
+
+def _profile(result: Fit, name: str) -> Interval:
+    return profile_interval(result, name)[0]
+
+
+def _with_least(problem: Problem, least: Mapping[str, float]) -> Problem:
+    """A problem with white noise of at least these standard deviations."""
+    known = problem.noises.items()
+    quiet = {kind: noise for kind, noise in known if noise.samples and noise.sigma < least.get(kind, 0.0)}
+    return problem.with_noises(
+        {kind: Noise(least[kind], least[kind], (), noise.step, noise.samples) for kind, noise in quiet.items()}
+    )
+
+
+def _largest_fit(problem: Problem) -> Fit:
+    """The declared model with all effects on: no effect of the catalogue explains its residual.
+
+    The residual of the declared model alone contains the effects that it lacks, and as noise would hide them: beside
+    friction a constant force would never be found. (Mallows' Cp takes its variance from the full model, too.)
+    """
+    plant = problem.plant
+    base = fit(problem, plant.base, {}, nuisances=plant.nuisances)
+    effects = [effect for effect in plant.effects.values() if not effect.is_declared]
+    free = (*plant.base, *itertools.chain(*(effect.free_names() for effect in effects)))
+    if problem.samples < SAMPLES_EACH * len(free):
+        return base
+    start = all_near_off(functools.partial(squared_cost, problem), effects, base.values)
+    if start is None:
+        return base
+    try:
+        largest = fit(problem, free, start, nuisances=plant.nuisances)
+    except SimulationError:
+        return base
+    return min(base, largest, key=rmse)
+
+
+def _split(plant: Plant) -> tuple[Mask | None, Mask | None]:
+    """Masks for training and held-out strokes, or None twice when there are too few strokes to hold any out."""
+    held = held_out_strokes(plant)
+    if not held:
+        return None, None
+
+    def is_held(index: int, groups: NDArray[np.integer]) -> NDArray[np.bool_]:
+        recording = plant.channels[index].recording
+        return np.isin(groups, [group for number, group in held if number == recording])
+
+    return (lambda index, groups: ~is_held(index, groups)), is_held

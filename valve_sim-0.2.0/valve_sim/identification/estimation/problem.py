@@ -1,0 +1,386 @@
+"""The data of a fit as whitened residuals: measured channels, their noise, and the samples that take part."""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import functools
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valve_sim.identification.estimation.budget import Budget
+from valve_sim.identification.estimation.column_groups import ColumnGroup, group_columns, reach_of
+from valve_sim.identification.estimation.condensed import Condensed, RowPlaces, places_of, whitened_sensitivities
+from valve_sim.identification.estimation.noise import (
+    LARGEST_ORDER,
+    SHORT_WINDOW,
+    Noise,
+    estimate_noise,
+    noise_of_residuals,
+    quiet_windows,
+    readings_near,
+    still_runs,
+    stretches,
+)
+from valve_sim.identification.estimation.priors import Prior, prior_of
+from valve_sim.identification.estimation.structured_noise import ErrorRows, StructuredNoise
+from valve_sim.identification.estimation.sums import Sums, Weighted, summed
+from valve_sim.identification.plants.check import checked_prediction
+from valve_sim.identification.plants.protocol import (
+    Array,
+    Direction,
+    HasSensors,
+    InPieces,
+    Nuisance,
+    Plant,
+    Thinnable,
+    primary_channels,
+    strokes_of_plant,
+)
+from valve_sim.model import SimulationError
+
+Mask = Callable[[int, NDArray[np.integer]], NDArray[np.bool_]]
+Whitening = Callable[[Array], Array]
+"""(r, k) columns of rows to as many, whitened further."""
+
+LONGEST_RUN: Final = 4
+"""Identical readings in a row, beyond which a coarse sensor repeats one reading."""
+LONG: Final = 100_000
+"""Residuals, some 2.5 s of position and current at 20 kHz: of more a fit does not hold its derivatives."""
+ELSEWHERE: Final = 4.0
+"""Steps of a coarse sensor by which the declared model misses it, beyond which the model does not say what is still."""
+
+
+class Problem:
+    """Measured channels, their noise, and which samples take part.
+
+    Args:
+        plant: the machine and its data.
+        takes_part: (channel index, (n,) groups) → (n,) mask of samples that are fitted; default all.
+        noises: noise by kind of channel; default estimated from the channels.
+        budget: of the fits to it; default no limit.
+
+    Attributes:
+        constant: added to the sum of squares of its residuals. counts: number of samples that each residual stands for.
+        errors: of the recordings, with their sizes; None: there are none that have columns.
+        whitening: of the rows that fits compare, beside that of noise and errors; None: nothing is whitened further.
+    """
+
+    constant: Final = 0.0
+    counts: Final = 1.0
+
+    def __init__(
+        self,
+        plant: Plant,
+        takes_part: Mask | None = None,
+        noises: Mapping[str, Noise] | None = None,
+        budget: Budget | None = None,
+    ) -> None:
+        self.plant = plant
+        self._condenses = False
+        self.errors: StructuredNoise | None = None
+        self.whitening: Whitening | None = None
+        self._reaches: dict[Nuisance, NDArray[np.bool_]] = {}
+        self._groups: dict[tuple[Nuisance, ...], list[ColumnGroup]] = {}
+        self.budget = budget or Budget.unlimited()
+        self.noises = _noises(plant) if noises is None else dict(noises)
+        self._weights = [self._weight(index, takes_part) for index in range(len(plant.channels))]
+        self.samples = sum(int(np.count_nonzero(weight)) for weight in self._weights)
+        self.effective_samples = float(sum(map(_effective, self._weights)))
+
+    def restricted(self, takes_part: Mask) -> Problem:
+        """This problem with other samples taking part; data and noise are kept."""
+        same = Problem(self.plant, takes_part, self.noises, self.budget)
+        same.errors = self.errors
+        return same
+
+    def with_errors(self, errors: StructuredNoise | None) -> Problem:
+        """This problem with these errors of its recordings; without any where it is too long for their columns."""
+        return self._changed("error_rows", errors=None if self.is_long else errors)
+
+    def _changed(self, *stale: str, **fields: object) -> Problem:
+        """This problem with other fields, and without what was worked out from those that they replace."""
+        same = copy.copy(self)
+        for name in stale:
+            same.__dict__.pop(name, None)
+        same.__dict__.update(fields)
+        return same
+
+    @property
+    def nuisances(self) -> tuple[Nuisance, ...]:
+        """What every fit estimates along: the plant's, and errors of its recordings that act on the machine."""
+        return (*self.plant.nuisances, *(() if self.errors is None else self.errors.nuisances))
+
+    @functools.cached_property
+    def error_rows(self) -> ErrorRows | None:
+        """The errors of the recordings on the rows that fits compare; None where there are none."""
+        if self.errors is None:
+            return None
+        columns = {channel: own.samples for channel, own in self.errors.columns.items()}
+        return ErrorRows(self.errors, self.rows.whitened_columns(columns))
+
+    def without_errors(self, rows: Array) -> Array:
+        """(r, k) columns whitened for the errors of the recordings: what these explain counts less."""
+        return rows if self.error_rows is None else self.error_rows.whiten(rows)
+
+    @property
+    def whitens(self) -> bool:
+        """Whether rows are whitened beyond the noise of each sample."""
+        return self.errors is not None or self.whitening is not None
+
+    def whitened(self, rows: Array) -> Array:
+        """(r, k) columns of rows as a fit compares them, whitened for all that is known beside the model."""
+        found = self.without_errors(rows)
+        return found if self.whitening is None else self.whitening(found)
+
+    @property
+    def log_constant(self) -> float:
+        """The share of the sizes of the recordings' errors in ln p of any model."""
+        return 0.0 if self.error_rows is None else self.error_rows.log_constant
+
+    def with_noise_left_by(self, values: Mapping[str, float]) -> Problem:
+        """This problem with the noise of what is never still taken from what these values leave of it."""
+        shown = self.plant.predict(values)
+        pieces: dict[str, list[Array]] = {kind: [] for kind, noise in self.noises.items() if noise.samples == 0}
+        for index, channel in enumerate(self.plant.channels):
+            for group in np.unique(channel.group) if channel.kind in pieces else ():
+                chosen = (channel.group == group) & (self.weight(index) > 0.0)
+                pieces[channel.kind].append((channel.data - shown[index])[chosen])
+        learned = {kind: noise_of_residuals(found, self.noises[kind]) for kind, found in pieces.items()}
+        return self.with_noises({**self.noises, **learned})
+
+    def with_noises(self, noises: Mapping[str, Noise]) -> Problem:
+        """This problem with other noise; data and samples are kept."""
+        own = {kind: noises.get(kind, noise) for kind, noise in self.noises.items()}
+        return self._changed("error_rows", "_condensed_rows", "places", noises=own)
+
+    def condensed(self) -> Problem:
+        """This problem for fits that sum up what is read while the machine is still."""
+        return self._changed("error_rows", "_condensed_rows", _condenses=True)
+
+    def with_every_row(self) -> Problem:
+        """This problem for fits that take each sample by itself."""
+        return self._changed("error_rows", "_condensed_rows", _condenses=False)
+
+    @property
+    def rows(self) -> Problem | Condensed:
+        """The problem that fits solve: this one, or an equivalent one with fewer rows."""
+        return self._condensed_rows or self
+
+    @functools.cached_property
+    def _condensed_rows(self) -> Condensed | None:
+        plant = self.plant
+        if not self._condenses or self.is_long or not (isinstance(plant, Thinnable) and plant.can_be_thinned):
+            return None
+        noises = [self.noise_of(index) for index in range(len(plant.channels))]
+        return Condensed(plant, self._weights, noises, self.budget)
+
+    def with_whitening(self, whitening: Whitening) -> Problem:
+        """This problem for fits of rows that are whitened further, for what a model is known to lack."""
+        return self._changed(whitening=whitening)
+
+    def without_limit(self) -> Problem:
+        """This problem without a limit of work."""
+        rows = self._condensed_rows
+        return self._changed(budget=Budget.unlimited(), _condensed_rows=None if rows is None else rows.without_limit())
+
+    @property
+    def noise(self) -> Noise:
+        """The noise of the response in which errors are reported."""
+        return self.noise_of(primary_channels(self.plant)[0])
+
+    def prior(self, name: str) -> Prior:
+        """The prior of a freed parameter, in the coordinate in which it is searched."""
+        return prior_of(self.plant, name)
+
+    def noise_of(self, index: int) -> Noise:
+        """The noise of a channel."""
+        return self.noises[self.plant.channels[index].kind]
+
+    def weight(self, index: int) -> Array:
+        """(n,) how much each sample of a channel counts; 0 where it takes no part."""
+        return self._weights[index]
+
+    @functools.cached_property
+    def _simulated(self) -> int:
+        """Number of strokes in one simulation of the plant."""
+        return max(1, len(strokes_of_plant(self.plant)))
+
+    @functools.cached_property
+    def strokes(self) -> NDArray[np.int64]:
+        """(n,) for each of the residuals the number of its stroke, from 0 on; −1 where it takes no part."""
+        recordings = np.concatenate([np.full(len(own.data), own.recording) for own in self.plant.channels])
+        groups = np.concatenate([channel.group for channel in self.plant.channels])
+        used = np.concatenate(self._weights) > 0.0
+        number = np.full(len(used), -1)
+        if used.any():
+            keys = recordings[used] * (1 + int(groups.max())) + groups[used]
+            number[used] = np.unique(keys, return_inverse=True)[1]
+        return number
+
+    def reach(self, nuisance: Nuisance) -> NDArray[np.bool_]:
+        """(n,) which of the residuals a nuisance acts on."""
+        if nuisance not in self._reaches:
+            self._reaches[nuisance] = reach_of(nuisance, [channel.times for channel in self.plant.channels])
+        return self._reaches[nuisance]
+
+    def groups(self, nuisances: tuple[Nuisance, ...]) -> list[ColumnGroup]:
+        """Nuisances in groups, of which no two act on the same sample."""
+        if nuisances not in self._groups:
+            self._groups[nuisances] = group_columns([self.reach(nuisance) for nuisance in nuisances])
+        return self._groups[nuisances]
+
+    @functools.cached_property
+    def places(self) -> RowPlaces:
+        """Time and stroke of each residual, whether it is in motion, and its weight."""
+        parts = []
+        for index, channel in enumerate(self.plant.channels):
+            noise, weight = self.noise_of(index), self._weights[index]
+            steady = noise.sigma * (1.0 - math.fsum(noise.coefficients)) / noise.innovation
+            parts.append((channel.times, channel.group, ~channel.quiet & (weight > 0.0), weight * steady))
+        return places_of([channel.recording for channel in self.plant.channels], parts)
+
+    def residuals(self, values: Mapping[str, float]) -> Array:
+        """Whitened, weighted residuals of all channels in a row (measured − predicted).
+
+        Raises:
+            SimulationError: the machine cannot be simulated with these values.
+            PlantError: its plant breaks down with them.
+        """
+        self.budget.count(self._simulated)
+        shown = zip(self.plant.channels, checked_prediction(self.plant, values), strict=True)
+        return self._white([(channel.data - prediction)[:, None] for channel, prediction in shown], self._weights)[:, 0]
+
+    def sensitivities(
+        self, values: Mapping[str, float], directions: Sequence[Direction]
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """(n, k) derivatives of the residuals along directions, and (k,) where the plant knows them.
+
+        Raises:
+            SimulationError: the machine cannot be simulated with these values.
+        """
+        self.budget.count(self._simulated, len(directions))
+        weights = [-weight for weight in self._weights]
+        return whitened_sensitivities(self.plant, values, directions, lambda columns: self._white(columns, weights))
+
+    def whitened_columns(self, columns: Mapping[int, Array]) -> dict[int, tuple[slice, Array]]:
+        """The slice of rows of some channels, and (r, q) whitened, weighted columns of (n, q) each."""
+        found, start = {}, 0
+        for index, weight in enumerate(self._weights):
+            stop = start + len(weight)
+            if index in columns:
+                own = np.empty(columns[index].shape)
+                self.noise_of(index).whiten_into(own, columns[index], weight)
+                found[index] = slice(start, stop), own
+            start = stop
+        return found
+
+    def _white(self, columns: Sequence[Array], weights: Sequence[Array]) -> Array:
+        """(n, k) whitened, weighted columns of all channels, (n of the channel, k) each, in a row."""
+        found = np.empty((sum(map(len, columns)), columns[0].shape[1]))
+        start = 0
+        for index, (of_channel, weight) in enumerate(zip(columns, weights, strict=True)):
+            own = slice(start, start + len(of_channel))
+            self.noise_of(index).whiten_into(found[own], of_channel, weight)
+            start = own.stop
+        return found
+
+    @property
+    def is_long(self) -> bool:
+        """Whether a fit only adds its residuals up."""
+        return _is_long(self.plant)
+
+    def sums(self, values: Mapping[str, float], directions: Sequence[Direction]) -> Sums | None:
+        """Sums over the residuals and their derivatives along directions; None where these are not known.
+
+        Raises:
+            SimulationError: the machine cannot be simulated with these values.
+        """
+        self.budget.count(self._simulated, len(directions))
+        pieces = self.plant.pieces(values, directions) if isinstance(self.plant, InPieces) else None
+        if pieces is None:
+            return None
+        channels = [
+            Weighted(channel, self.noise_of(index), self._weights[index])
+            for index, channel in enumerate(self.plant.channels)
+        ]
+        return summed(pieces, channels, len(directions))
+
+    def _weight(self, index: int, takes_part: Mask | None) -> Array:
+        channel = self.plant.channels[index]
+        # One number that stands for all: a weight for each sample of a long recording is large.
+        weight: Array = np.broadcast_to(1.0, len(channel.data))
+        noise = self.noise_of(index)
+        if noise.step > 0.0 and noise.is_coarse:
+            # A coarse sensor at rest repeats one reading; a thousand copies are not a thousand measurements. The runs
+            # are the declared model's: weights by the readings themselves depend on their errors, which with 1 µm
+            # of noise and 5 µm steps biases the dampings by 0.16 standard errors.
+            shown = self.plant.predict({})[index]
+            runs = still_runs(np.round(shown / noise.step))
+            weight = np.where(runs > LONGEST_RUN, 1.0 / np.sqrt(runs), weight)
+            is_elsewhere = np.abs(channel.data - shown) > ELSEWHERE * noise.step
+            for start, stop in stretches(channel.quiet):
+                weight[start:stop] = np.minimum(weight[start:stop], 1.0 / math.sqrt(stop - start))
+                # A valve that stays where the declared one moves is still for longer than what is surely quiet.
+                still = np.arange(*_stays(channel.data, start, stop, noise.step))
+                missed = still[is_elsewhere[still]]
+                weight[missed] = np.minimum(weight[missed], 1.0 / math.sqrt(len(still)))
+        if channel.left_out is not None:
+            # Whitening would carry what is between two readings into those after it, and a line between them is no
+            # motion: at 2 kHz it is off by 60 µm. The noise of what is never still is known later: of any order.
+            order = len(noise.coefficients) if noise.samples else LARGEST_ORDER
+            weight = np.where(_reached(channel.left_out, order), 0.0, weight)
+        if takes_part is not None:
+            weight = np.where(takes_part(index, channel.group), weight, 0.0)
+        return weight
+
+
+def _is_long(plant: Plant) -> bool:
+    """Whether there are so many samples that a fit only adds residuals up, where the plant gives them in pieces."""
+    return sum(len(channel.data) for channel in plant.channels) > LONG and isinstance(plant, InPieces)
+
+
+def _noises(plant: Plant) -> dict[str, Noise]:
+    """The noise of each kind of channel."""
+    humming = _humming(plant)
+    return {
+        kind: estimate_noise([channel for channel in plant.channels if channel.kind == kind], may_hum=kind in humming)
+        for kind in sorted({channel.kind for channel in plant.channels})
+    }
+
+
+def _humming(plant: Plant) -> set[str]:
+    """Kinds of the channels whose hum fits estimate along; none of a long recording, whose errors have no columns."""
+    if not isinstance(plant, HasSensors) or _is_long(plant):
+        return set()
+    with contextlib.suppress(SimulationError):
+        return {plant.channels[index].kind for index in plant.sensors({})}
+    return set()
+
+
+def shows_rest(plant: Plant) -> bool:
+    """Whether a plant's channels are ever known to be still for long enough to show a sensor's noise."""
+    return any(quiet_windows(channel, SHORT_WINDOW) for channel in plant.channels)
+
+
+def _reached(left_out: NDArray[np.bool_], order: int) -> NDArray[np.bool_]:
+    """(n,) samples that are left out, and those whose whitened residuals rest on one."""
+    found = left_out.copy()
+    for lag in range(1, order + 1):
+        found[lag:] |= left_out[:-lag]
+    return found
+
+
+def _effective(weight: Array) -> float:
+    """How many samples there are, of which copies of one reading count once."""
+    return float(np.sum(np.minimum(weight, 1.0) ** 2)) if any(weight.strides) else float(len(weight))
+
+
+def _stays(data: Array, start: int, stop: int, step: float) -> tuple[int, int]:
+    """Where a coarse sensor that is still from `start` to `stop` begins and ends to read so, but for one step."""
+    level, margin = float(np.median(data[start:stop])), 1.5 * step
+    return start - readings_near(data[:start][::-1], level, margin), stop + readings_near(data[stop:], level, margin)

@@ -1,0 +1,1 @@
+"""A valve watched stroke by stroke: segmentation, scores, control charts, fault isolation."""

@@ -1,0 +1,799 @@
+"""A plant of a user's own equations, from a file, with recordings of it: what fit, diagnosis and report see.
+
+Each recording is integrated from its start, or from the start of each window, driven by its recorded inputs. States
+that start `free`, values with a tolerance, values that vary from recording to recording and errors of its columns are
+nuisances. Derivatives of all of them come from the same run.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valve_sim.files.plant_files import InputEntry, OutputEntry, PlantFile, PlantFileError
+from valve_sim.files.recording_map import MapError
+from valve_sim.identification.plants.advice import Advice
+from valve_sim.identification.plants.protocol import (
+    Array,
+    Channel,
+    Direction,
+    EffectChoice,
+    Experiment,
+    ForceMap,
+    Nuisance,
+    Sensitivities,
+)
+from valve_sim.model.core.own.grammar import Expr, names_in, walk
+from valve_sim.model.core.own.simulation import Inputs, Machine, without_straight
+from valve_sim.model.core.own.system import Equations, EquationsError
+from valve_sim.model.core.own.units import dimension_words, same
+from valve_sim.model.errors import SimulationError
+from valve_sim.model.parameters import Parameter
+from valve_sim.traces.columns import Column, Columns
+
+GROUPS: Final = 8
+"""Parts of a recording without windows, of which some are held out."""
+QUIET: Final = 100
+"""Samples in a row over which a signal must stand to show its noise."""
+CALMEST: Final = 0.1
+"""Of windows, the share in which second differences are taken to show a sensor's noise alone."""
+STANDS: Final = 4.0
+"""Standard errors of the difference of the means of both halves."""
+QUANTILES: Final = (0.1, 0.3, 0.5, 0.7, 0.9)
+"""Of what a threshold acts on, from which fits start it."""
+LAG: Final = 0.01
+"""Of a recording's samples, over which its fastest rate is taken."""
+SPAN: Final = 0.5
+"""Of a measured signal's range: standard deviation of the start of a state that it shows."""
+TIMES_STEPS: Final = 20
+"""Steps of a run as declared, of which a run with other values may take so many."""
+STEPS_BESIDE: Final = 12
+"""Further steps for each sample and each time of an input: what turns faster than half their rate needs more."""
+STEPS_LEAST: Final = 20_000
+VALUE: Final = "valve."
+"""Begins the name of a declared value that may be wrong, as of every plant."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """A stretch of a recording that is integrated in one go.
+
+    Attributes:
+        recording, window: numbers from 0 on. start: s. inputs: that drive it.
+        samples: (n,) s, of all outputs together. rows: by output the rows of its samples among them.
+    """
+
+    recording: int
+    window: int
+    start: float
+    inputs: Inputs
+    samples: Array
+    rows: Mapping[str, NDArray[np.int64]]
+
+
+class OwnPlant:
+    """A machine of a user's own with its recordings.
+
+    Args:
+        file: its equations. recordings: what was measured, one `Columns` for each.
+
+    Raises:
+        PlantFileError: its equations are more than the integrator has room for.
+        MapError: a recording lacks an input or every output, or a unit does not fit.
+    """
+
+    def __init__(self, file: PlantFile, recordings: Sequence[Columns]) -> None:
+        self.file = file
+        self.recordings = tuple(recordings)
+        self._machines: dict[tuple[str, ...], Machine] = {}
+        self._lock = threading.Lock()
+        self._delaying = {f"{name}.{own}" for name, effect in file.effects.items() for own in effect.delay.values()}
+        self._steps: dict[tuple[int, int], int | None] = {}
+        for recording in recordings:
+            self._check(recording)
+        if recordings:
+            self.file = file.sized(self._sizes())
+        self.findings: list[str] = []
+        self._switched = () if self.file.states else _signs_of(self.file)
+        self._runs: list[Run] = []
+        self._of_channel: list[tuple[int, str]] = []
+        channels = []
+        for index, recording in enumerate(recordings):
+            channels += self._channels_of(index, recording)
+            self._runs += self._runs_of(index, recording)
+        self._channels = tuple(channels)
+        self._nuisances = (*self._of_machine(), *self._of_starts(), *self._of_columns())
+        self._corrected = frozenset(own.name for own in self._nuisances if own.name.startswith(("gain[", "offset[")))
+        self._choices = self._effect_choices()
+        self.machine(())
+
+    # -- what the protocol asks for ------------------------------------------------------------------------------------
+
+    @property
+    def channels(self) -> Sequence[Channel]:
+        """Each output of each recording."""
+        return self._channels
+
+    @property
+    def base(self) -> Sequence[str]:
+        """The parameters that are declared `free`."""
+        return tuple(name for name, own in self.file.parameters.items() if own.free)
+
+    @property
+    def nuisances(self) -> Sequence[Nuisance]:
+        """Values with a tolerance, starts, and errors of the columns."""
+        return self._nuisances
+
+    @property
+    def timing_errors(self) -> Sequence[Nuisance]:
+        """None: all columns of a recording share a clock."""
+        return ()
+
+    @property
+    def effects(self) -> Mapping[str, EffectChoice]:
+        """Those of the file, and declared values that may be wrong."""
+        return self._choices
+
+    @property
+    def force_maps(self) -> Sequence[ForceMap]:
+        """None."""
+        return ()
+
+    @property
+    def experiments(self) -> Sequence[Experiment]:
+        """None: which inputs the machine may be given is not known here."""
+        return ()
+
+    @property
+    def advice(self) -> Advice:
+        """What to record next."""
+        inputs = ", ".join(self.file.inputs) or "its start"
+        return Advice(
+            "one recording of one kind cannot tell an effect from what is refitted anyway",
+            f"Record next: {inputs} at several levels, slowly and quickly, in both directions, and with rests",
+            f"Record next: {inputs} at levels and rates that are not among these recordings",
+        )
+
+    def parameter(self, name: str) -> Parameter:
+        """Unit, range and scale of a parameter of the machine or of an effect.
+
+        Raises:
+            KeyError: there is none.
+        """
+        effect, dot, own = name.partition(".")
+        if not dot:
+            entry = self.file.parameters[name]
+            size = abs(entry.value) or (
+                0.25 * (entry.upper - entry.lower) if math.isfinite(entry.upper - entry.lower) else 1.0
+            )
+            scale = entry.tolerance or size
+            title = entry.title or name.replace("_", " ")
+            return Parameter(name, entry.unit.si, title, entry.lower, entry.upper, scale)
+        found = self.file.effects[effect].parameters[own]
+        title = found.title or own.replace("_", " ")
+        return Parameter(own, found.unit.si, title, found.lower, found.upper, found.scale, found.neutral)
+
+    def declared(self, name: str) -> float:
+        """The declared value, or that at which an effect changes nothing; of a shape one within its range."""
+        effect, dot, own = name.partition(".")
+        if not dot:
+            return self.file.parameters[name].value
+        found = self.file.effects[effect].parameters[own]
+        if found.neutral is not None:
+            return found.neutral
+        if math.isfinite(found.lower) and not found.lower <= found.scale <= found.upper:
+            return 0.5 * (found.lower + min(found.upper, found.lower + 2.0 * found.scale))
+        return found.scale
+
+    def predict(self, values: Mapping[str, float]) -> list[Array]:
+        """The simulated signal of each channel, in its unit."""
+        return self._shown(values, ())[0]
+
+    def sensitivities(self, values: Mapping[str, float], directions: Sequence[Direction]) -> Sensitivities:
+        """The derivatives of what `predict` returns; all but those to delays are known."""
+        columns = self._shown(values, directions)[1]
+        known = [self._delaying.isdisjoint(direction.slopes) for direction in directions]
+        return Sensitivities(columns, np.array(known, dtype=bool))
+
+    # -- simulation ----------------------------------------------------------------------------------------------------
+
+    def machine(self, effects: tuple[str, ...]) -> Machine:
+        """The compiled equations with some effects on.
+
+        Raises:
+            PlantFileError: there are more switches and so on than the integrator has room for.
+        """
+        with self._lock:
+            if effects not in self._machines:
+                equations = self._with_errors(self.file.equations(effects))
+                free = [
+                    name for name in equations.parameters
+                    if "." in name or " " in name or self.file.parameters[name].free
+                    or self.file.parameters[name].tolerance or self.file.parameters[name].varies
+                ]  # fmt: skip
+                try:
+                    self._machines[effects] = Machine(equations, free)
+                except EquationsError as error:
+                    raise PlantFileError(f"{self.file.path}: {error}") from error
+            return self._machines[effects]
+
+    def _with_errors(self, equations: Equations) -> Equations:
+        """The equations with factor and offset of each column whose errors are estimated."""
+        derivatives, outputs, names = dict(equations.derivatives), dict(equations.outputs), list(equations.parameters)
+        for name in sorted({own.partition("].")[2] for own in self._corrected}):
+            gain, offset = f"{name} gain", f"{name} offset"
+            names += [gain, offset]
+            if name in self.file.inputs:
+                # The machine is driven by the true input, of which the column shows this much.
+                hidden = f"{name} recorded"
+                true = Expr(
+                    "+", (Expr("*", (Expr("name", (), hidden), Expr("name", (), gain))), Expr("name", (), offset))
+                )
+                derivatives = {key: _replaced(own, name, true) for key, own in derivatives.items()}
+                outputs = {key: _replaced(own, name, true) for key, own in outputs.items()}
+            else:
+                shown = Expr("*", (outputs[name], Expr("name", (), gain)))
+                outputs[name] = Expr("+", (shown, Expr("name", (), offset)))
+        inputs = tuple(f"{name} recorded" if f"{name} gain" in names else name for name in equations.inputs)
+        return Equations(derivatives, outputs, inputs, tuple(names))
+
+    def _shown(self, values: Mapping[str, float], directions: Sequence[Direction]) -> tuple[list[Array], list[Array]]:
+        """The simulated signal of each channel, and its (n, k) derivatives."""
+        on = {
+            name.partition(".")[0]
+            for name in values
+            if "." in name and not name.startswith(("start[", "gain[", "offset["))
+        }
+        on -= {VALUE.rstrip(".")}
+        effects = tuple(name for name in self.file.effects if name in on)
+        machine, delays = self.machine(effects), self._delays(values, effects)
+        outputs = list(self.file.outputs)
+        full: dict[tuple[int, str], Array] = {}
+        slopes: dict[tuple[int, str], Array] = {}
+        count = len(directions)
+        for index, recording in enumerate(self.recordings):
+            for name in outputs:
+                if name in recording.columns:
+                    full[index, name] = np.zeros(len(recording[name].times))
+                    slopes[index, name] = np.zeros((len(recording[name].times), count))
+        for run in self._runs:
+            numbers = self._numbers(run, values, effects)
+            start = self._start(run, values)
+            own = [self._direction(run, direction, effects) for direction in directions]
+            acting = [k for k, one in enumerate(own) if one]
+            inputs = delayed(run.inputs, [delays.get(name, 0.0) for name in self.file.inputs])
+            samples, rows_of = late(run, delays)
+            try:
+                shown, changes = machine.run(
+                    numbers, start, inputs, samples, [own[k] for k in acting], run.start, self._most(run)
+                )
+            except SimulationError as error:
+                raise SimulationError(f"{self.file.path}: {self.recordings[run.recording].source}: {error}") from error
+            for place, name in enumerate(outputs):
+                key = run.recording, name
+                if key not in full:
+                    continue
+                rows = rows_of[name]
+                into = self._samples_of(run, name)
+                full[key][into] = shown[rows, place]
+                for k, column in enumerate(acting):
+                    slopes[key][into, column] = changes[rows, place, k]
+        found, columns = [], []
+        for index, name in self._of_channel:
+            measured = self.recordings[index][name]
+            found.append(measured.filtered(full[index, name]))
+            columns.append(measured.filtered(slopes[index, name]))
+        return found, columns
+
+    def _delays(self, values: Mapping[str, float], effects: Sequence[str]) -> dict[str, float]:
+        """S by which inputs act and outputs show late, by name, where they do."""
+        entries: dict[str, InputEntry | OutputEntry] = {**self.file.inputs, **self.file.outputs}
+        found = {name: own.delay for name, own in entries.items() if own.delay}
+        for effect in effects:
+            for target, own in self.file.effects[effect].delay.items():
+                found[target] = found.get(target, 0.0) + values.get(f"{effect}.{own}", 0.0)
+        return found
+
+    def _longest_delay(self) -> float:
+        """s: no input acts later."""
+        ends = [own.delay for own in self.file.inputs.values()]
+        ends += [effect.parameters[own].upper for effect in self.file.effects.values() for own in effect.delay.values()]
+        return math.fsum(ends)
+
+    def _most(self, run: Run) -> int | None:
+        """How many steps a run may take; None: the declared machine itself cannot be simulated.
+
+        A fit may come to values that make a machine turn thousands of times between two samples, such as ripples a
+        hundredth as long as they are. One such run takes as long as a whole fit.
+        """
+        key = run.recording, run.window
+        if key not in self._steps:
+            beside = STEPS_LEAST + STEPS_BESIDE * (len(run.samples) + len(run.inputs.times))
+            try:
+                declared = self.machine(()).steps(
+                    self._numbers(run, {}, ()), self._start(run, {}), run.inputs, run.samples, run.start
+                )
+                self._steps[key] = TIMES_STEPS * declared + beside
+            except SimulationError:
+                self._steps[key] = None
+        return self._steps[key]
+
+    def _samples_of(self, run: Run, name: str) -> slice:
+        times = self.recordings[run.recording][name].times
+        own = run.samples[run.rows[name]]
+        if not len(own):
+            return slice(0, 0)
+        first = int(np.searchsorted(times, own[0]))
+        return slice(first, first + len(own))
+
+    def _numbers(self, run: Run, values: Mapping[str, float], effects: Sequence[str]) -> dict[str, float]:
+        """All numbers of the equations, for one run."""
+        found = {}
+        for name, entry in self.file.parameters.items():
+            found[name] = values.get(name, entry.value) + values.get(f"{name}[{run.recording}]", 0.0)
+        for effect in effects:
+            for name in self.file.effects[effect].parameters:
+                full = f"{effect}.{name}"
+                found[full] = values.get(full, self.declared(full))
+        for own in self._corrected:
+            kind, _, name = own.partition("].")
+            what = kind.partition("[")[0]
+            found.setdefault(f"{name} {what}", 1.0 if what == "gain" else 0.0)
+            found.setdefault(f"{name} {'offset' if what == 'gain' else 'gain'}", 0.0 if what == "gain" else 1.0)
+            if kind == f"{what}[{run.recording}":
+                found[f"{name} {what}"] = values.get(own, 0.0) + (1.0 if what == "gain" else 0.0)
+        return found
+
+    def _start(self, run: Run, values: Mapping[str, float]) -> dict[str, float]:
+        found = {}
+        for name, entry in self.file.states.items():
+            key = _start_name(run, name)
+            found[name] = values.get(key, self._means.get(key, 0.0)) if key in self._means else entry.start or 0.0
+        return found
+
+    def _direction(self, run: Run, direction: Direction, effects: Sequence[str]) -> dict[str, float]:
+        """What changes in one run along a direction, by the names of the integrator."""
+        found: dict[str, float] = {}
+
+        def put(name: str, by: float) -> None:
+            if by:
+                found[name] = found.get(name, 0.0) + by
+
+        for name, by in direction.slopes.items():
+            if name in self.file.parameters or name.partition(".")[0] in effects:
+                put(name, by)
+            elif name in self._corrected:
+                kind, _, own = name.partition("].")
+                what, _, recording = kind.partition("[")
+                if int(recording) == run.recording:
+                    put(f"{own} {what}", by)
+            elif name.startswith("start["):
+                where, _, state = name.partition("].")
+                if where == _start_name(run, state).partition("].")[0]:
+                    put(state, by)
+            else:
+                own, _, recording = name.removesuffix("]").partition("[")
+                if own in self.file.parameters and recording == str(run.recording):
+                    put(own, by)
+        return found
+
+    # -- the recordings ------------------------------------------------------------------------------------------------
+
+    def _check(self, recording: Columns) -> None:
+        known: dict[str, InputEntry | OutputEntry] = {**self.file.inputs, **self.file.outputs}
+        for name, column in recording.columns.items():
+            if name not in known:
+                raise MapError(
+                    f"{recording.source}: {name}: is no input and no output of {self.file.path}; expected one of "
+                    f"{', '.join(known)}"
+                )
+            unit = known[name].unit
+            if column.unit is not None and not same(column.unit.dimension, unit.dimension):
+                raise MapError(
+                    f"{recording.source}: {name}: {column.source} is in "
+                    f"{dimension_words(column.unit.dimension)}, expected {dimension_words(unit.dimension)}; "
+                    "correct its unit in the map"
+                )
+        for name in self.file.inputs:
+            if name not in recording.columns:
+                raise MapError(
+                    f"{recording.source}: no column is named for the input {name}; add to the map "
+                    f"{name}: {{column: ..., unit: ...}}"
+                )
+        if not any(name in recording.columns for name in self.file.outputs):
+            raise MapError(
+                f"{recording.source}: no column is named for an output; add to the map one of "
+                f"{', '.join(self.file.outputs)}"
+            )
+
+    def _sizes(self) -> dict[str, float]:
+        """How large signals are, SI: of inputs the largest, of what sensors show half the range, of time the longest.
+
+        Of a state that is the rate of one that a sensor shows it is the fastest mean rate over `LAG` of a recording; of
+        one of which a sensor shows the rate, half of the way that this makes.
+        """
+        columns = [column for recording in self.recordings for column in recording.columns.values()]
+        found = {"t": max(float(np.ptp(column.times)) for column in columns)}
+        found["time"] = found["t"]
+        for name, entry in self.file.inputs.items():
+            found[name] = max(float(np.max(np.abs(own[name].si(entry.unit)))) for own in self.recordings)
+        for name, output in self.file.outputs.items():
+            shown = [(own[name].times, own[name].si(output.unit)) for own in self.recordings if name in own.columns]
+            if not shown:
+                continue
+            found[name] = 0.5 * max(float(np.ptp(values)) for _, values in shown)
+            if output.value.op == "name" and output.value.value in self.file.states:
+                state = str(output.value.value)
+                found[state] = found[name]
+                rate = self.file.derivatives[state]
+                if rate.op == "name" and rate.value in self.file.states:
+                    found.setdefault(str(rate.value), max(_fastest(times, values) for times, values in shown))
+                for other, its in self.file.derivatives.items():
+                    if its.op == "name" and its.value == state:
+                        way = max(float(np.ptp(_integral(times, values))) for times, values in shown)
+                        found.setdefault(other, 0.5 * way)
+        return found
+
+    def _runs_of(self, index: int, recording: Columns) -> list[Run]:
+        inputs = without_straight(inputs_of(self.file, recording))
+        present = [name for name in self.file.outputs if name in recording.columns]
+        samples = np.unique(np.concatenate([recording[name].times for name in present]))
+        begins = min(samples[0], inputs.times[0]) if len(inputs.times) else samples[0]
+        window, longest = self.file.window, self._longest_delay()
+        count = 1 if math.isinf(window) else max(1, round((samples[-1] - begins) / window))
+        edges = [begins] if count == 1 else (begins + window * np.arange(count)).tolist()
+        runs = []
+        for number, start in enumerate(edges):
+            stop = edges[number + 1] if number + 1 < len(edges) else math.inf
+            own = samples[(samples >= start) & (samples < stop)]
+            if len(own):
+                first = start if number == 0 else float(own[0])
+                rows = {
+                    name: np.flatnonzero(np.isin(own, recording[name].times)) for name in self.file.outputs
+                    if name in recording.columns
+                }  # fmt: skip
+                kept = _between(inputs, first - longest, float(own[-1]))
+                runs.append(Run(index, number, float(first), kept, own, rows))
+        return runs
+
+    def _channels_of(self, index: int, recording: Columns) -> list[Channel]:
+        channels = []
+        inputs = [(recording[name], own) for name, own in self.file.inputs.items()]
+        for name, entry in self.file.outputs.items():
+            if name not in recording.columns:
+                continue
+            column = recording[name]
+            data, times = column.si(entry.unit)[column.compared], column.times[column.compared]
+            left_out = ~column.used[column.compared]
+            turns = self._turns(recording, times)
+            if (turns & ~left_out).any():
+                self.findings.append(
+                    f"{recording.source}: {name}: {int((turns & ~left_out).sum())} samples take no part, where "
+                    f"{' or '.join(self._switched)} passes through 0: dry friction is anything up to its level there"
+                )
+                left_out |= turns
+            noise = entry.noise or 0.0
+            quiet = np.zeros(len(data), dtype=bool) if noise else quiet_samples(times, data, [own for own, _ in inputs])
+            self._of_channel.append((index, name))
+            channels.append(
+                Channel(
+                    f"{recording.source}: {name}",
+                    name,
+                    times,
+                    data,
+                    quiet,
+                    self._groups(times),
+                    entry.unit.si,
+                    recording=index,
+                    left_out=left_out if left_out.any() else None,
+                    noise=noise,
+                )
+            )
+        return channels
+
+    def _turns(self, recording: Columns, times: Array) -> NDArray[np.bool_]:
+        """(n,) where, of a plant without states, a measured velocity passes through 0.
+
+        Dry friction at rest is a set: any force up to its level. The sign of a measured velocity knows no rest, and
+        behind a low-pass it turns up to half a period of the corner before or after the machine does.
+        """
+        found = np.zeros(len(times), dtype=bool)
+        for name in self._switched:
+            column = recording[name]
+            if column.turns:
+                continue
+            signs = np.sign(column.readings)
+            crossed = column.times[:-1][signs[1:] != signs[:-1]]
+            beside = max(0.5 / column.smoothing, float(np.median(np.diff(column.times))))
+            if len(crossed):
+                after = np.minimum(np.searchsorted(crossed, times), len(crossed) - 1)
+                nearest = np.minimum(np.abs(times - crossed[after]), np.abs(times - crossed[np.maximum(after - 1, 0)]))
+                found |= nearest <= beside
+        return found
+
+    def _groups(self, times: Array) -> NDArray[np.int64]:
+        """(n,) the window, or the eighth of the recording, that each sample is in."""
+        span = times[-1] - times[0]
+        window = self.file.window
+        if math.isinf(window):
+            share = (times - times[0]) / (span or 1.0)
+            return np.asarray(np.minimum((GROUPS * share).astype(np.int64), GROUPS - 1))
+        count = max(1, round(span / window))
+        return np.asarray(np.minimum(((times - times[0]) / window).astype(np.int64), count - 1))
+
+    # -- nuisances and effects -----------------------------------------------------------------------------------------
+
+    def _of_machine(self) -> list[Nuisance]:
+        found = []
+        for name, own in self.file.parameters.items():
+            if own.tolerance:
+                step = min(own.tolerance, 1e-3 * abs(own.value) or own.tolerance)
+                found.append(
+                    Nuisance(
+                        name,
+                        own.tolerance,
+                        own.unit.si,
+                        step=1e-2 * step,
+                        mean=own.value,
+                        lower=own.lower,
+                        upper=own.upper,
+                        is_of_machine=True,
+                    )
+                )
+            if own.varies:
+                for index in range(len(self.recordings)):
+                    channels = self._channels_in(index)
+                    found.append(
+                        Nuisance(f"{name}[{index}]", own.varies, own.unit.si, channels, step=1e-2 * own.varies)
+                    )
+        return found
+
+    def _channels_in(self, index: int) -> tuple[int, ...]:
+        return tuple(place for place, (recording, _) in enumerate(self._of_channel) if recording == index)
+
+    def _of_starts(self) -> list[Nuisance]:
+        self._means: dict[str, float] = {}
+        is_windowed = not math.isinf(self.file.window)
+        found = []
+        for run in self._runs:
+            channels = self._channels_in(run.recording)
+            stretch = (float(run.samples[0]) - 1e-9, float(run.samples[-1]) + 1e-9)
+            for name, entry in self.file.states.items():
+                if entry.start is not None and not is_windowed:
+                    continue
+                mean, sigma = self._first(run, name)
+                key = _start_name(run, name)
+                self._means[key] = mean
+                during = stretch if is_windowed else (-math.inf, math.inf)
+                found.append(Nuisance(key, sigma, entry.unit.si, channels, during, step=1e-3 * sigma, mean=mean))
+        return found
+
+    def _first(self, run: Run, state: str) -> tuple[float, float]:
+        """Where a state probably starts, and how well that is known: by an output that shows it, or what it changes."""
+        recording = self.recordings[run.recording]
+        for name, output in self.file.outputs.items():
+            if name not in recording.columns or output.value.op != "name":
+                continue
+            column, shown = recording[name], str(output.value.value)
+            values = column.si(output.unit)
+            begin = int(np.searchsorted(column.times, run.samples[0]))
+            few = slice(begin, begin + 5)
+            if shown == state:
+                return float(np.median(values[few])), SPAN * float(np.ptp(values)) or 1.0
+            rate = self.file.derivatives.get(shown)
+            if rate is not None and rate.op == "name" and rate.value == state:
+                slopes = np.gradient(values, column.times)
+                line = (
+                    np.polyfit(column.times[few] - column.times[begin], values[few], 1)[0]
+                    if begin + 5 <= len(values)
+                    else 0.0
+                )
+                return float(line), 2.0 * float(np.percentile(np.abs(slopes), 99)) or 1.0
+        entry = self.file.states[state]
+        if entry.start is None:
+            # What no sensor shows is probably about as large as what one shows of its kind: the level of another tank.
+            for name, output in self.file.outputs.items():
+                if name in recording.columns and same(output.unit.dimension, entry.unit.dimension):
+                    values = recording[name].si(output.unit)
+                    middle = float(np.median(values))
+                    return middle, max(abs(middle), float(np.ptp(values))) or 1.0
+        return entry.start or 0.0, max(abs(entry.start or 0.0), entry.unit.factor)
+
+    def _of_columns(self) -> list[Nuisance]:
+        found = []
+        known: dict[str, InputEntry | OutputEntry] = {**self.file.inputs, **self.file.outputs}
+        for index, recording in enumerate(self.recordings):
+            for name, column in recording.columns.items():
+                channels = self._channels_in(index)
+                if name in self.file.outputs:
+                    channels = tuple(i for i in channels if self._of_channel[i][1] == name)
+                if column.gain:
+                    found.append(Nuisance(f"gain[{index}].{name}", column.gain, "–", channels, step=1e-2 * column.gain))
+                if column.offset:
+                    unit = known[name].unit
+                    factor = unit.factor if column.unit is None else column.unit.factor
+                    size = factor * column.offset
+                    found.append(Nuisance(f"offset[{index}].{name}", size, unit.si, channels, step=1e-2 * size))
+        return found
+
+    def _effect_choices(self) -> dict[str, EffectChoice]:
+        found = {}
+        for name, entry in self.file.effects.items():
+            parameters = tuple(self.parameter(f"{name}.{own}") for own in entry.parameters)
+            found[name] = EffectChoice(name, parameters, entry.confused_with, places=self._places(name))
+        for name, own in self.file.parameters.items():
+            if own.tolerance:
+                key = f"{VALUE}{name}"
+                parameter = self.parameter(name)._replace(off=own.value)
+                found[key] = EffectChoice(key, (parameter,), is_declared_value=True)
+        return found
+
+    def _places(self, effect: str) -> dict[str, tuple[float, ...]]:
+        """Where thresholds of an effect may lie: at quantiles of what they are compared with, if that is measured."""
+        found: dict[str, tuple[float, ...]] = {}
+        entry = self.file.effects[effect]
+        for name, own in entry.parameters.items():
+            if own.neutral is not None:
+                continue
+            seen = [self._seen(acted) for added in entry.add.values() for acted in _compared_with(added, name)]
+            values = [one for one in seen if one is not None]
+            if values:
+                places = np.quantile(np.concatenate(values), QUANTILES)
+                within = [float(p) for p in places if own.lower < p < own.upper]
+                if within:
+                    found[f"{effect}.{name}"] = tuple(dict.fromkeys(within))
+        return found
+
+    def _seen(self, name: str) -> Array | None:
+        """The recorded signal of a state, input or output; None if there is none."""
+        for shown, output in self.file.outputs.items():
+            if name == shown or (output.value.op == "name" and output.value.value == name):
+                columns = [own[shown].si(output.unit) for own in self.recordings if shown in own.columns]
+                return np.concatenate(columns) if columns else None
+        if name in self.file.inputs:
+            return np.concatenate([own[name].si(self.file.inputs[name].unit) for own in self.recordings])
+        return None
+
+
+def _fastest(times: Array, values: Array) -> float:
+    """The fastest mean rate over `LAG` of a recording: over shorter times noise would be rates, too."""
+    lag = max(1, round(LAG * len(values)))
+    return float(np.max(np.abs(values[lag:] - values[:-lag]) / (times[lag:] - times[:-lag]), initial=0.0))
+
+
+def _integral(times: Array, values: Array) -> Array:
+    """(n,) over the times, from 0 on, on straight lines between samples."""
+    steps = 0.5 * np.diff(times) * (values[1:] + values[:-1])
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def inputs_of(file: PlantFile, recording: Columns | None) -> Inputs:
+    """All inputs of a recording, at the times of each of them."""
+    entries = file.inputs
+    if not entries or recording is None:
+        return Inputs(np.empty(0), np.empty((0, 0)), np.empty(0, dtype=bool))
+    columns = [recording[name] for name in entries]
+    pairs = list(zip(columns, entries.values(), strict=True))
+    held = np.array([own.held if column.held is None else column.held for column, own in pairs])
+    times = np.unique(np.concatenate([column.times for column in columns]))
+    levels = np.empty((len(times), len(columns)))
+    for place, (column, own) in enumerate(pairs):
+        values = column.si(own.unit)
+        if held[place]:
+            levels[:, place] = values[np.maximum(np.searchsorted(column.times, times, side="right") - 1, 0)]
+        else:
+            levels[:, place] = np.interp(times, column.times, values)
+    return Inputs(times, levels, held)
+
+
+def delayed(inputs: Inputs, delays: Sequence[float]) -> Inputs:
+    """Inputs of which each acts some seconds later; before its first time an input is as it begins."""
+    if not any(delays) or not len(inputs.times):
+        return inputs
+    times = np.unique(np.concatenate([inputs.times + own for own in sorted(set(delays))]))
+    # Whether a time is that of a step must not hang on how its sum with a delay was rounded.
+    rounding = 1e-12 * (float(np.max(np.abs(times))) + 1.0)
+    levels = np.empty((len(times), len(delays)))
+    for place, own in enumerate(delays):
+        if inputs.held[place]:
+            rows = np.searchsorted(inputs.times, times - own + rounding, side="right") - 1
+            levels[:, place] = inputs.levels[np.maximum(rows, 0), place]
+        else:
+            levels[:, place] = np.interp(times - own, inputs.times, inputs.levels[:, place])
+    return Inputs(times, levels, inputs.held)
+
+
+def late(run: Run, delays: Mapping[str, float]) -> tuple[Array, Mapping[str, NDArray[np.int64]]]:
+    """When a run is looked at, s, so that outputs are shown late, and by output the rows of its samples among these.
+
+    Before the run's start an output is as it begins.
+    """
+    if not any(delays.get(name) for name in run.rows):
+        return run.samples, run.rows
+    asked = {name: np.maximum(run.samples[own] - delays.get(name, 0.0), run.start) for name, own in run.rows.items()}
+    samples = np.unique(np.concatenate(list(asked.values())))
+    return samples, {name: np.searchsorted(samples, own) for name, own in asked.items()}
+
+
+def _signs_of(file: PlantFile) -> tuple[str, ...]:
+    """Inputs whose sign an equation or an effect switches on: sign(v), or where(v > 0, a, b)."""
+    parts = [own.value for own in file.outputs.values()]
+    parts += [added for effect in file.effects.values() for added in effect.add.values()]
+    found: dict[str, None] = {}
+    for one in (node for part in parts for node in walk(part)):
+        if one.op == "sign" or (one.op == ">" and any(own.op == "number" and own.value == 0.0 for own in one.args)):
+            found |= {str(own.value): None for own in one.args if own.op == "name" and own.value in file.inputs}
+    return tuple(found)
+
+
+def _compared_with(expression: Expr, name: str) -> list[str]:
+    """Names that stand in one sum or comparison with a name: of x − level it is x."""
+    found: list[str] = []
+    if expression.op in ("-", "+", ">", "min", "max"):
+        sides = [names_in(own) for own in expression.args]
+        if any(side == (name,) for side in sides):
+            found += [one for side in sides for one in side if one != name]
+    return found + [one for own in expression.args for one in _compared_with(own, name)]
+
+
+def _replaced(expression: Expr, name: str, by: Expr) -> Expr:
+    if expression.op == "name":
+        return by if expression.value == name else expression
+    return Expr(expression.op, tuple(_replaced(own, name, by) for own in expression.args), expression.value)
+
+
+def _start_name(run: Run, state: str) -> str:
+    return f"start[{run.recording},{run.window}].{state}"
+
+
+def _between(inputs: Inputs, first: float, last: float) -> Inputs:
+    """The inputs from one time to another, with what is needed on either side."""
+    if not len(inputs.times):
+        return inputs
+    low = max(0, int(np.searchsorted(inputs.times, first, side="right")) - 1)
+    high = min(len(inputs.times), int(np.searchsorted(inputs.times, last, side="left")) + 1)
+    return Inputs(inputs.times[low:high], inputs.levels[low:high], inputs.held)
+
+
+def _noise_between_neighbours(data: Array, first: NDArray[np.int64]) -> float:
+    """The noise that second differences show in the calmest windows, of `QUIET` samples from `first` each.
+
+    While a machine moves they show its motion, too, most of all behind a low-pass, where few samples are compared: by
+    the whole recording, motion of that size would pass for noise at rest.
+    """
+    bends = np.diff(data, 2)
+    sizes = [float(np.median(np.abs(own - np.median(own)))) for own in (bends[i : i + QUIET - 2] for i in first)]
+    return 1.4826 * float(np.quantile(sizes, CALMEST)) / math.sqrt(6.0)
+
+
+def quiet_samples(times: Array, data: Array, inputs: Sequence[Column]) -> NDArray[np.bool_]:
+    """(n,) where output and inputs stand for `QUIET` samples, so that what is seen is the sensor's noise."""
+    quiet = np.zeros(len(data), dtype=bool)
+    if len(data) < 2 * QUIET:
+        return quiet
+    half = QUIET // 2
+    total = np.concatenate([[0.0], np.cumsum(data - data.mean())])
+    first = np.arange(0, len(data) - QUIET + 1, half)
+    noise = _noise_between_neighbours(data, first)
+    early = (total[first + half] - total[first]) / half
+    late = (total[first + QUIET] - total[first + half]) / half
+    spread = np.array([np.ptp(data[i : i + QUIET]) for i in first])
+    steps = np.abs(np.diff(np.unique(data)))
+    quantum = float(np.min(steps, initial=math.inf)) if len(steps) < len(data) // 2 else 0.0
+    quantum = quantum if math.isfinite(quantum) else 0.0
+    still = np.abs(late - early) <= STANDS * noise * math.sqrt(2.0 / half) + 0.5 * quantum
+    still &= spread <= max(12.0 * noise, 2.0 * quantum) + 1e-15
+    for column in inputs:
+        own = np.interp(times, column.times, column.readings)
+        size = _noise_between_neighbours(own, first)
+        allowed = max(12.0 * size, 1e-3 * float(np.ptp(own)))
+        still &= np.array([np.ptp(own[i : i + QUIET]) <= allowed for i in first])
+    for i in first[still]:
+        quiet[i : i + QUIET] = True
+    return quiet

@@ -1,0 +1,385 @@
+"""The valve as a plant: traces in, what its sensors would show out."""
+
+from __future__ import annotations
+
+import copy
+import functools
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valve_sim.identification.plants.advice import Advice
+from valve_sim.identification.plants.force_map_choice import force_map_over
+from valve_sim.identification.plants.hold_out import Condition
+from valve_sim.identification.plants.interval_factors import IntervalFactors, supply_errors, variations
+from valve_sim.identification.plants.protocol import (
+    NO_CONTACTS,
+    Array,
+    Channel,
+    Direction,
+    EffectChoice,
+    Experiment,
+    ForceMap,
+    Nuisance,
+    Piece,
+    Sensitivities,
+    Sensor,
+)
+from valve_sim.identification.plants.recording_errors import (
+    clock_offset,
+    clock_rate,
+    drive_with,
+    lateness_with,
+    reading_errors,
+    stamp_errors,
+    zero_with,
+)
+from valve_sim.identification.plants.stroke_choice import Kind, stroke_kinds
+from valve_sim.identification.plants.valve_model import ValveModel
+from valve_sim.identification.plants.valve_pieces import Intervals, run_in_pieces, whole_run
+from valve_sim.identification.plants.valve_sensitivities import pieces, sensitivities
+from valve_sim.identification.plants.valve_sensors import (
+    amperes,
+    averaged,
+    channels_of,
+    contacts,
+    fastest_motion,
+    followed,
+    predicted,
+    with_declared_sensor,
+    with_usable_current,
+    without_pressure,
+)
+from valve_sim.model import CATALOGUE, Drive, Parameter, Tag, Valve
+from valve_sim.model.effects import FORCE_MAP_VARIABLES
+from valve_sim.traces import Signal, Trace
+from valve_sim.traces.layout import SIGNALS
+
+DAMPINGS: Final = ("pilot_damping", "main_damping")
+"""Declared values that every fit frees, because they are not known beforehand; see `dampings_of`."""
+LOWEST_LEVEL, HIGHEST_LEVEL = 7.5 / 9.0, 14.0 / 9.0
+"""Shares of the reference voltage: the range in which such a valve is driven, 7.5 to 14 V where it is 9 V."""
+PULSE_LEVELS: Final = (LOWEST_LEVEL, 1.0, 11.0 / 9.0, HIGHEST_LEVEL)
+"""Voltages of single pulses, of the reference voltage."""
+PULSE_DURATIONS: Final = (3e-3, 4e-3, 5e-3, 8e-3, 30e-3)
+"""s: pulses of 3 to 5 ms lift the valve partly, longer ones fully."""
+PULSE_START, PULSE_RECORDING = 5e-3, 70e-3
+"""s: when a pulse begins, and when its recording ends."""
+
+
+SHORTEST_SPAN: Final = 1e-6
+"""m, of a force map over x, of one plunger that does not move."""
+GAS_STEP: Final = 2e-5
+"""Prior scales. Along the usual step the pressures come to be equal so much later that it is more than the main plunger
+takes to open: a clogged orifice was given a twentieth of its standard error."""
+
+
+def dampings_of(valve: Valve) -> tuple[str, ...]:
+    """The names of the dampings that a valve uses: one plunger has no Phase 1."""
+    return DAMPINGS[1:] if valve.parameters.has_one_plunger else DAMPINGS
+
+
+def volts_at(valve: Valve, levels: Sequence[float]) -> tuple[float, ...]:
+    """Voltages at these shares of a valve's reference voltage, V, rounded to 10 mV."""
+    return tuple(round(level * valve.parameters.reference_voltage, 2) for level in levels)
+
+
+class ValvePlant:
+    """The valve behind one or more traces.
+
+    Args:
+        traces: the measured data; each has its own clock offset.
+        valve: the declared valve; effects that it has on already stay on as they are, unless freed.
+        is_watched: whether the traces are strokes of a valve that is watched, or rows of them. Errors of the recordings
+            are then what differs from stroke to stroke, by sizes that are the same in all traces: drift and hum of the
+            sensor, and what varies of the valve. The sensor's curve, its mount and the source are as they always were.
+
+    Raises:
+        ParameterError: the traces declare other bandwidths of the position sensor than each other or the valve.
+    """
+
+    def __init__(self, traces: Sequence[Trace], valve: Valve, *, is_watched: bool = False) -> None:
+        self._is_watched = is_watched
+        jumps = valve.parameters.coil_time_constant == 0.0 or "motional_emf" in valve.effects
+        known = [trace if valve.gas is not None else without_pressure(trace) for trace in traces]
+        self.traces = tuple(with_usable_current(trace, jumps=jumps) for trace in known)
+        self._model = ValveModel(with_declared_sensor(valve, traces), dampings_of(valve))
+        self._channels = [channel for index, trace in enumerate(self.traces) for channel in channels_of(index, trace)]
+
+    @property
+    def valve(self) -> Valve:
+        """The declared valve."""
+        return self._model.valve
+
+    @property
+    def short_step(self) -> float | None:
+        """Step of difference quotients of a valve with gas: see `GAS_STEP`."""
+        return None if self.valve.gas is None else GAS_STEP
+
+    @property
+    def channels(self) -> Sequence[Channel]:
+        """Pilot position, coil current and outlet pressure, as far as recorded, trace by trace."""
+        return self._channels
+
+    @property
+    def base(self) -> Sequence[str]:
+        """The dampings that the valve uses."""
+        return dampings_of(self.valve)
+
+    @functools.cached_property
+    def nuisances(self) -> Sequence[Nuisance]:
+        """A clock offset for each trace; errors of commands that were read from a voltage, and of a sensor's zero.
+
+        After them the declared values that have a tolerance: of the valve, and so the same in each trace.
+        """
+        traces = [(trace, index, self._channels_of(index)) for index, trace in enumerate(self.traces)]
+        offsets = [own(index, channels) for _, index, channels in traces for own in (clock_offset, clock_rate)]
+        readings = (nuisance for of_trace in traces for nuisance in reading_errors(*of_trace))
+        return (*offsets, *readings, *self._model.nuisances)
+
+    @functools.cached_property
+    def timing_errors(self) -> Sequence[Nuisance]:
+        """An error for each command that was recorded as it was sent: the voltage changes later than its stamp says."""
+        return tuple(
+            nuisance
+            for index, trace in enumerate(self.traces)
+            for nuisance in stamp_errors(trace, index, self._channels_of(index))
+        )
+
+    @functools.cached_property
+    def effects(self) -> Mapping[str, EffectChoice]:
+        """The catalogue, less what the declared valve has on, and declared values that may be wrong.
+
+        Without positions less what only a sensor of positions would show.
+        """
+        if any(trace.has_positions for trace in self.traces):
+            return self._model.effects
+        of_sensors = {entry.name for entry in CATALOGUE.tagged(Tag.SENSOR)}
+        return {name: choice for name, choice in self._model.effects.items() if name not in of_sensors}
+
+    @functools.cached_property
+    def force_maps(self) -> Sequence[ForceMap]:
+        """Curves over position, velocity and time, and such curves times v or u².
+
+        None by the outlet's pressure alone: it shows when the plungers have moved, and nothing of how.
+        """
+        if all(trace.primary_signal == "outlet_pressure" for trace in self.traces):
+            return []
+        declared = self.valve.parameters
+        fastest = max(fastest_motion(trace) for trace in self.traces)
+        furthest = max(float(np.max(trace.usable_position, initial=0.0)) for trace in self.traces)
+        if not all(trace.has_positions for trace in self.traces):
+            furthest = declared.stroke
+        spans = {
+            "x": (0.0, min(max(furthest, declared.pilot_gap or SHORTEST_SPAN), declared.stroke), "m"),
+            "v": (-fastest, fastest, "m/s"),
+            "t": (0.0, max(float(trace.sample_times[-1]) for trace in self.traces), "s"),
+        }
+        return [force_map_over(variable, *spans[variable[0]]) for variable in FORCE_MAP_VARIABLES]
+
+    @functools.cached_property
+    def _kinds(self) -> list[list[Kind]]:
+        return [stroke_kinds(trace) for trace in self.traces]
+
+    def condition_of(self, recording: int, group: int) -> Condition:
+        """The voltages of a stroke's commands, V, and for how long each was held."""
+        return tuple(itertools.chain.from_iterable(self._kinds[recording][group]))
+
+    @property
+    def experiments(self) -> Sequence[Experiment]:
+        """Single pulses, from those that lift the valve partly to full strokes, sampled as the first trace is."""
+        interval = float(np.median(np.diff(self.traces[0].sample_times)))
+        times = np.arange(0.0, PULSE_RECORDING, interval)
+        return [
+            Experiment(
+                f"{volts:g} V for {1e3 * duration:g} ms",
+                functools.partial(self._recorded, volts, duration, times),
+                ((0.0, volts), (duration, 0.0)),
+            )
+            for volts, duration in itertools.product(volts_at(self.valve, PULSE_LEVELS), PULSE_DURATIONS)
+        ]
+
+    @property
+    def advice(self) -> Advice:
+        """Releases, several voltages and short pulses tell effects apart (measured on surrogate data)."""
+        lowest, highest = volts_at(self.valve, (LOWEST_LEVEL, HIGHEST_LEVEL))
+        return Advice(
+            "one stroke at one voltage cannot tell an effect from damping",
+            f"Record next: eight strokes with their releases at {lowest:g} to {highest:g} V, about 30 ms on and 30 ms "
+            "off, in one bag at 20 kHz",
+            "Record next: strokes at voltages not used yet, a peak-and-hold stroke, and pulses of 3 to 5 ms",
+        )
+
+    def _recorded(self, volts: float, duration: float, times: Array, values: Mapping[str, float]) -> ValvePlant:
+        """A pulse recorded from a valve of these values, without noise."""
+        drive = Drive.of([PULSE_START, PULSE_START + duration], [volts, 0.0])
+        nothing = np.zeros_like(times)
+        if not self.traces[0].has_positions:
+            seen = SIGNALS[self.traces[0].primary_signal]
+            blank = Trace("an experiment", drive, times[:0], times[:0])
+            trace = replace(blank, **{seen: Signal(times, nothing)})  # type: ignore[arg-type] # by name
+            plant = ValvePlant([trace], self.valve)
+            (predicted_there,) = plant.predict(values)
+            # Samples at a command, where a current may jump, are not among them.
+            shown = Signal(plant.channels[0].times, predicted_there)
+            return ValvePlant([replace(trace, **{seen: shown})], self.valve)  # type: ignore[arg-type]
+        trace = Trace("an experiment", drive, times, nothing)
+        (position,) = ValvePlant([trace], self.valve).predict(values)
+        return ValvePlant([replace(trace, pilot_position=position)], self.valve)
+
+    def _channels_of(self, trace: int) -> tuple[int, ...]:
+        return tuple(index for index, channel in enumerate(self._channels) if channel.recording == trace)
+
+    def parameter(self, name: str) -> Parameter:
+        """Unit and range of a declared parameter or of `<effect>.<parameter>`.
+
+        Raises:
+            KeyError: there is none.
+        """
+        return self._model.parameter(name)
+
+    def declared(self, name: str) -> float:
+        """The declared value, or the one at which an effect changes nothing."""
+        return self._model.declared(name)
+
+    def with_values(self, values: Mapping[str, float]) -> Valve:
+        """The valve that freed values and estimates of declared values describe; its tolerances stay as declared."""
+        return self._model.with_values(values)
+
+    def propagated(self, names: Sequence[str], covariance: Array) -> tuple[tuple[str, ...], Array]:
+        """Declared scalars and their covariance, from those of what was estimated."""
+        return self._model.propagated(names, covariance)
+
+    def followed_positions(self, values: Mapping[str, float]) -> dict[int, Array]:
+        """The positions that follow from the current, m, at its samples, by the number of each trace without positions.
+
+        Raises:
+            SimulationError: the simulation could not be carried to its end.
+        """
+        valve = self._model.simulated(values)
+        return {
+            index: followed(valve, trace, drive_with(trace, index, values, self.valve), lateness_with(index, values))
+            for index, trace in enumerate(self.traces)
+            if not trace.has_positions
+        }
+
+    def sensitivities(self, values: Mapping[str, float], directions: Sequence[Direction]) -> Sensitivities:
+        """The derivatives of what `predict` returns, by the model's variational equations.
+
+        Raises:
+            SimulationError: the simulation could not be carried to its end.
+        """
+        return sensitivities(self._model, self.traces, values, directions, self._factors)
+
+    def pieces(self, values: Mapping[str, float], directions: Sequence[Direction]) -> Iterator[Piece] | None:
+        """Prediction and derivatives, piece by piece; None without derivatives, with gas, or where a sensor averages.
+
+        Raises:
+            SimulationError: the simulation could not be carried to its end.
+        """
+        return None if self._averages else pieces(self._model, self.traces, values, directions)
+
+    @property
+    def _averages(self) -> bool:
+        """Whether a sensor averages: what it shows is not of one moment."""
+        return any(trace.averaging > 1 for trace in self.traces)
+
+    @property
+    def can_be_thinned(self) -> bool:
+        """Whether a sample is the same whichever others are shown: not of a valve with gas, or of a mean of several."""
+        return self.valve.gas is None and not self._averages
+
+    def thinned(self, kept: Sequence[NDArray[np.intp]]) -> ValvePlant:
+        """This plant with some samples of each channel, of which the first is one."""
+        same, numbers = copy.copy(self), iter(kept)
+        same._channels = [_thinned(channel, own) for channel, own in zip(self._channels, kept, strict=True)]
+        same.traces = tuple(_thinned_trace(trace, numbers) for trace in self.traces)
+        return same
+
+    @functools.cached_property
+    def varying(self) -> Sequence[Nuisance]:
+        """What varies from stroke to stroke, and the resistance of the source; none of a valve with gas."""
+        if self.valve.gas is not None:
+            return ()
+        part_of = 0 if self._is_watched else None
+        return tuple(
+            nuisance
+            for index, trace in enumerate(self.traces)
+            for found in (
+                variations(self.valve, trace, index, self._channels_of(index), part_of),
+                () if self._is_watched else supply_errors(trace, index, self._channels_of(index)),
+            )
+            for nuisance in found
+        )
+
+    @functools.cached_property
+    def _factors(self) -> list[IntervalFactors]:
+        return [IntervalFactors(self.valve, trace, index) for index, trace in enumerate(self.traces)]
+
+    def sensors(self, values: Mapping[str, float]) -> dict[int, Sensor]:
+        """The position sensor of each trace; the mount of one at a valve with gas does not ring.
+
+        Raises:
+            SimulationError: the simulation could not be carried to its end.
+        """
+        found: dict[int, Sensor] = {}
+        valve, own_sheet = self._model.simulated(values), self.valve.tolerances.sensor
+        shares = {"scale": own_sheet.gain, "bend": own_sheet.linearity}
+        if self._is_watched:
+            shares = dict.fromkeys(shares, 0.0)
+        for index, trace in enumerate(self.traces):
+            if not trace.has_positions:
+                continue
+            drive, late = drive_with(trace, index, values, self.valve), lateness_with(index, values)
+            own = next(iter(self._channels_of(index)))
+            is_calm = self._is_watched or self.valve.gas is not None
+            meet = NO_CONTACTS if is_calm else contacts(valve, trace, drive, late)
+            alike = next(iter(found), own) if self._is_watched else None
+            # A stroke is two intervals, whenever its recording begins.
+            knots = trace.drive.times[1:2] if self._is_watched else trace.drive.times
+            found[own] = Sensor(self.valve.parameters.stroke, knots, meet, shares, alike)
+        return found
+
+    def predict(self, values: Mapping[str, float]) -> list[Array]:
+        """What each channel would show, in its unit.
+
+        Raises:
+            SimulationError: the simulation could not be carried to its end.
+        """
+        valve = self._model.simulated(values)
+        shown: list[Array] = []
+        for index, trace in enumerate(self.traces):
+            drive, late = drive_with(trace, index, values, self.valve), lateness_with(index, values)
+            factors = self._factors[index].of(values)
+            if factors is None:
+                position, *others = predicted(valve, trace, drive, late)
+            else:
+                run = whole_run(run_in_pieces(valve, trace, drive, late, intervals=Intervals(factors)))
+                position, others = run.positions, amperes(valve, trace, run.currents)
+            positions = [averaged(trace, position) + zero_with(index, values)] if trace.has_positions else []
+            shown.extend([*positions, *others])
+        return shown
+
+
+def _thinned(channel: Channel, kept: NDArray[np.intp]) -> Channel:
+    """Some samples of a channel."""
+    return replace(
+        channel, times=channel.times[kept], data=channel.data[kept], quiet=channel.quiet[kept],
+        group=channel.group[kept], left_out=None if channel.left_out is None else channel.left_out[kept],
+    )  # fmt: skip
+
+
+def _thinned_trace(trace: Trace, numbers: Iterator[NDArray[np.intp]]) -> Trace:
+    """Some samples of the positions and of the current of a trace."""
+    few = trace
+    if trace.has_positions:
+        own = next(numbers)
+        few = replace(few, times=trace.times[own], pilot_position=trace.usable_position[own])
+    if trace.coil_current is not None:
+        own = next(numbers)
+        few = replace(few, coil_current=Signal(trace.coil_current.times[own], trace.coil_current.values[own]))
+    return few

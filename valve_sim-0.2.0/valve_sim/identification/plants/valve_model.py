@@ -1,0 +1,139 @@
+"""The valve without its measurements: freed values in, the valve that they describe out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Final
+
+from valve_sim.identification.plants.protocol import Array, EffectChoice, Nuisance
+from valve_sim.identification.plants.tolerances import ToleratedValues, of_gas
+from valve_sim.model import CATALOGUE, DECLARED, Parameter, Valve, ValveParameters
+from valve_sim.model.gas import GAS, GasParameters
+from valve_sim.model.parameters import POLYNOMIAL_NAMES
+from valve_sim.model.valve import OF_TWO_PLUNGERS
+
+GAS_NAMES: Final[Mapping[str, str]] = {of_gas(name): name for name in GAS}
+"""What fits call a number of the group `gas`, and what the group calls it."""
+
+
+class ValveModel:
+    """What every plant of a valve holds, whatever was measured of it.
+
+    Args:
+        valve: the declared valve; effects that it has on already stay on as they are, unless freed.
+        refitted: declared values that every fit frees.
+
+    Attributes:
+        valve: as given.
+        effects: the catalogue; of effects that the declared valve has on, that they are not as large as declared; and
+            that a declared value is wrong.
+        nuisances: declared values with a tolerance.
+    """
+
+    def __init__(self, valve: Valve, refitted: tuple[str, ...] = ()) -> None:
+        self.valve = valve
+        self._tolerated = ToleratedValues(valve)
+        self.nuisances: tuple[Nuisance, ...] = self._tolerated.nuisances
+        left_out = {name for name, entry in CATALOGUE.items() if not entry.tried}
+        left_out |= {name for name, entry in CATALOGUE.items() if not entry.is_of(has_gas=valve.gas is not None)}
+        if valve.parameters.has_one_plunger:
+            left_out |= {*OF_TWO_PLUNGERS}
+        if valve.parameters.coil_time_constant == 0.0:
+            left_out |= {name for name, entry in CATALOGUE.items() if entry.needs_inductance}
+        effects = {
+            name: EffectChoice(
+                name, entry.parameters, tuple(other for other in entry.confused_with if other not in left_out)
+            )
+            for name, entry in CATALOGUE.items()
+            if entry.named and name not in left_out and name not in valve.effects
+        }
+        grown = {name: declared_effect(name, valve.effects[name]) for name in valve.effects if CATALOGUE[name].named}
+        # What is declared already is among them: a wrong reference voltage is a drive gain of another size.
+        effects |= {name: choice for name, choice in grown.items() if choice.parameters}
+        self.effects: Mapping[str, EffectChoice] = self._tolerated.with_hypotheses(effects, refitted)
+        self._declared = valve.declared()
+        self._gas = GAS_NAMES if valve.gas is not None else {}
+
+    def parameter(self, name: str) -> Parameter:
+        """Unit and range of a declared parameter, of `gas.<name>`, or of `<effect>.<parameter>`.
+
+        Raises:
+            KeyError: there is none.
+        """
+        if name in self._gas:
+            return self._tolerated.parameter(name) or GAS[self._gas[name]]
+        effect, dot, parameter = name.partition(".")
+        return CATALOGUE[effect].parameter(parameter) if dot else self._tolerated.parameter(name) or DECLARED[name]
+
+    def declared(self, name: str) -> float:
+        """The declared value, or the one at which an effect changes nothing."""
+        if name in self._gas:
+            return float(getattr(self.valve.gas, self._gas[name]))
+        effect, dot, parameter = name.partition(".")
+        if not dot:
+            return self._tolerated.declared(name)
+        if effect in self.valve.effects:
+            return self.valve.effects[effect][parameter]
+        return CATALOGUE[effect].parameter(parameter).neutral
+
+    def with_values(self, values: Mapping[str, float]) -> Valve:
+        """The valve that freed values and estimates of declared values describe; its tolerances stay as declared."""
+        effects = {name: dict(parameters) for name, parameters in self.valve.effects.items()}
+        declared = {}
+        for name, value in self._tolerated.as_declared(values).items():
+            effect, dot, parameter = name.partition(".")
+            if name in self._declared:
+                declared[name] = float(value)
+            elif dot and name not in self._gas:
+                effects.setdefault(effect, CATALOGUE[effect].neutral_values())[parameter] = float(value)
+        return replace(self.valve.with_values(**declared), effects=effects, gas=self._gas_with(values))
+
+    def _gas_with(self, values: Mapping[str, float]) -> GasParameters | None:
+        """The gas that freed values describe."""
+        gas = self.valve.gas
+        freed = {own: float(values[name]) for name, own in self._gas.items() if name in values}
+        return gas if gas is None or not freed else gas._replace(**freed)  # type: ignore[arg-type] # numbers by name
+
+    def propagated(self, names: Sequence[str], covariance: Array) -> tuple[tuple[str, ...], Array]:
+        """Declared scalars and `<effect>.<parameter>` with their covariance, for those of what was estimated.
+
+        Args:
+            names: (k,) of what was estimated, coordinates of declared values among them. covariance: (k, k) of it.
+
+        Returns:
+            (m,) names, and (m, m).
+        """
+        return self._tolerated.propagated(names, covariance)
+
+    def is_plain(self, name: str) -> bool:
+        """Whether a freed value is one of the valve's numbers, and changes no other."""
+        return self._tolerated.is_plain(name)
+
+    def simulated(self, values: Mapping[str, float]) -> Valve:
+        """The valve that is simulated where freed values describe it.
+
+        Nothing is checked, and parameters of effects that are not given are neutral.
+        """
+        effects = {name: dict(parameters) for name, parameters in self.valve.effects.items()}
+        declared = dict(self._declared)
+        for name, value in self._tolerated.as_declared(values).items():
+            effect, dot, parameter = name.partition(".")
+            if name in declared:
+                declared[name] = value
+            elif dot and name not in self._gas:
+                effects.setdefault(effect, {})[parameter] = value
+        polynomial = tuple(declared.pop(name) for name in POLYNOMIAL_NAMES)
+        parameters = ValveParameters(**declared, attraction_polynomial=polynomial)  # type: ignore[arg-type] # by name
+        return Valve(parameters, effects, gas=self._gas_with(values))
+
+
+def declared_effect(name: str, values: Mapping[str, float]) -> EffectChoice:
+    """The hypothesis that an effect which is declared is not as large as that; its shape stays as declared.
+
+    Args:
+        name: of the effect. values: of its parameters, as declared.
+    """
+    entry = CATALOGUE[name]
+    switches = tuple(own._replace(off=values[own.name]) for own in entry.parameters if own.off is not None)
+    return EffectChoice(name, switches, entry.confused_with, is_on=True)

@@ -1,0 +1,1 @@
+"""Results as JSON, text, pages and figures: the only room that formats."""

@@ -1,0 +1,69 @@
+"""The files that a diagnosis leaves behind: report.json, report.html, and a picture where one is asked for.
+
+Of a valve also corrected.yaml, and record_next.yaml where there is something to tell apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from valve_sim.files.json_text import json_text
+from valve_sim.files.parameter_files import save_valve
+from valve_sim.files.whole_files import write_whole
+from valve_sim.identification.diagnosis.run import Diagnosis
+from valve_sim.identification.plants.own import OwnPlant
+from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.identification.reporting.diagnosis_json import to_json
+from valve_sim.identification.reporting.html import draw_diagnosis, write_report
+from valve_sim.identification.reporting.own_plant import corrected_plant, save_plant
+from valve_sim.identification.reporting.recording_profile import write_record_next
+
+FILES: Final = ("report.json", "report.html", "corrected.yaml")
+"""Of a valve, in the order in which they are written; record_next.yaml follows where there is something to tell."""
+
+
+def write_diagnosis(
+    diagnosis: Diagnosis,
+    directory: Path | str,
+    provenance: str,
+    picture: Path | None = None,
+    final: Path | None = None,
+    *,
+    report: Mapping[str, Any] | None = None,
+) -> tuple[Path, ...]:
+    """Write what a diagnosis found, each file whole or not at all.
+
+    Args:
+        diagnosis: of any plant; only a valve has a corrected.yaml and a record_next.yaml.
+        directory: made where it is missing.
+        provenance: how the diagnosis was made; goes into report.html and corrected.yaml.
+        picture: where to draw the page's plots, too; default nowhere.
+        final: the folder that the files will be moved to, for the commands that the page prints; default `directory`.
+        report: what `to_json` made of it, if that is known; it may take many simulations.
+
+    Returns:
+        the files, report.json first.
+
+    Raises:
+        ValveError: a file cannot be written.
+    """
+    folder = Path(directory)
+    data, page, corrected = (folder / name for name in FILES)
+    write_whole(data, json_text(to_json(diagnosis) if report is None else report))
+    write_report(diagnosis, page, provenance, final)
+    written = [data, page]
+    if isinstance(diagnosis.plant, ValvePlant):
+        save_valve(corrected, diagnosis.valve, provenance)
+        profile = write_record_next(folder, diagnosis, provenance)
+        written += [corrected] if profile is None else [corrected, profile]
+    if isinstance(diagnosis.plant, OwnPlant):
+        save_plant(corrected, corrected_plant(diagnosis), provenance)
+        written.append(corrected)
+    if picture is not None:
+        from valve_sim.identification.reporting.figures import save_figure
+
+        save_figure(draw_diagnosis(diagnosis), picture)
+        written.append(picture)
+    return tuple(written)

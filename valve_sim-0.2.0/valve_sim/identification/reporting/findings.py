@@ -1,0 +1,124 @@
+"""Findings on a fit, beside its values, in sentences."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Final
+
+from valve_sim.identification.estimation.findings import (
+    Correlated,
+    ExplainedByErrors,
+    Finding,
+    LacksSomething,
+    LooselyDetermined,
+    NotConverged,
+    NotIdentifiable,
+    OnBound,
+    StampErrors,
+)
+from valve_sim.identification.estimation.intervals import Interval, Unbounded
+from valve_sim.identification.estimation.static_force import (
+    BeginsLate,
+    EndsEarly,
+    Opening,
+    StartOfMotion,
+    StaticFinding,
+)
+from valve_sim.identification.reporting.wording import percent
+
+_UNBOUNDED: Final = {
+    Unbounded.FLAT_PROFILE: "the profile is flat: these data do not determine it",
+    Unbounded.MAY_BE_INFINITE: "it may be too long to be seen in these data",
+}
+_SIGMAS_95: Final = 1.96
+_HALF_MORE: Final = 1.5
+_DISAGREEING: Final = (
+    "± is one standard error, from the curvature of χ² at the best value; the 95 % interval follows from χ² itself, "
+    "all else refitted, or ends at a bound. The two disagree here: use the interval"
+)
+_SEPARATING: Final = "strokes at other voltages, or a release, would separate them."
+_LACKING: Final = "so the intervals are too narrow; `diagnose` may name it."
+_BY_ERRORS: Final = (
+    "beside these errors of the recording the model explains the data down to the noise, and without them it does not. "
+    "It may lack an effect instead: `diagnose` compares both."
+)
+_AT_THE_SEAT: Final = "measure at x = 0, where the motion starts."
+
+
+def remark_on(interval: Interval) -> str:
+    """Why an interval is wide, one-sided, or not what its standard error says; empty where it is as usual."""
+    if interval.unbounded is not None:
+        return _UNBOUNDED[interval.unbounded]
+    return _DISAGREEING if disagree(interval) else ""
+
+
+def disagree(interval: Interval) -> bool:
+    """Whether one side of a 95 % interval is longer or shorter by more than a half than its standard error says."""
+    expected = _SIGMAS_95 * interval.stderr
+    if not (math.isfinite(expected) and expected > 0.0):
+        return False
+    sides = (interval.value - interval.low, interval.high - interval.value)
+    return any(not expected / _HALF_MORE <= side <= expected * _HALF_MORE for side in sides)
+
+
+def remarks(findings: Iterable[Finding | StaticFinding]) -> list[str]:
+    """A sentence for each finding."""
+    return [_sentence(finding) for finding in findings]
+
+
+def _sentence(finding: Finding | StaticFinding) -> str:
+    match finding:
+        case NotIdentifiable(name, reason):
+            words = f"{name} is not identifiable from these data: {_UNBOUNDED[reason]}."
+        case OnBound(name, bound):
+            words = f"{name} is on its {bound} bound: the best value lies beyond it, or the model lacks something."
+        case LooselyDetermined(name, low, high, unit):
+            fits = f"{low:.3g} to {high:.3g} {unit}"
+            words = f"{name} is determined only loosely by these data: anything from {fits} fits."
+        case Correlated(name, other, correlation):
+            words = f"{name} and {other} can hardly be told apart (correlation {correlation:.4f}); {_SEPARATING}"
+        case StampErrors(largest):
+            size = f"{1e6 * largest:.3g} µs"
+            words = f"the commands' stamps are off by up to {size}, beside the clock offset; each was estimated."
+        case LacksSomething(probability):
+            words = f"the model lacks something (probability {percent(probability)}), {_LACKING}"
+        case ExplainedByErrors():
+            words = _BY_ERRORS
+        case NotConverged():
+            words = "the fit did not converge; treat the values with care."
+        case StartOfMotion():
+            words = _start_of_motion(finding)
+        case BeginsLate(displacement):
+            words = f"the table begins at {1e6 * displacement:.0f} µm: a0 is extrapolated; {_AT_THE_SEAT}"
+        case EndsEarly(displacement, stroke):
+            part = f"{1e6 * displacement:.0f} µm of {1e6 * stroke:.0f} µm stroke"
+            words = f"the table ends at {part}: beyond it the polynomial is an extrapolation."
+    return words
+
+
+def _start_of_motion(finding: StartOfMotion) -> str:
+    """What the constant term, or its lack, means for the start of motion."""
+    constant, opening = finding.constant, _opening(finding.opening)
+    if constant is None or finding.without is None:
+        return (
+            f"without a constant term the attraction at x = 0 is 0 N: {opening}. Fit with the constant term; a "
+            "magnetised coil pulls at the largest gap too."
+        )
+    without = _opening(finding.without)
+    if constant.low <= 0.0 <= constant.high:
+        return (
+            f"a0 = {constant.value:.3g} N cannot be told from 0 (95 %: {constant.low:.3g} to {constant.high:.3g} N) "
+            f"and a0 alone starts the motion: with it {opening}, without it {without}. Measure more points near x = 0."
+        )
+    return f"a0 = {constant.value:.4g} N starts the motion: with it {opening}, without it {without}."
+
+
+def _opening(opening: Opening) -> str:
+    volts, meets_main, reaches_stop = opening
+    if math.isnan(meets_main):
+        return f"the valve never opens at {volts:g} V (nothing lifts the pilot plunger off its seat)"
+    reached = (
+        "never reaches the stop" if math.isnan(reaches_stop) else f"reaches the stop at {1e3 * reaches_stop:.2f} ms"
+    )
+    return f"the pilot plunger meets the main plunger at {1e3 * meets_main:.2f} ms and {reached} at {volts:g} V"

@@ -1,0 +1,194 @@
+"""What is said of a plant of a user's own equations: refitted values, checks, and its file with what was found."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import escape, quoteattr
+
+import yaml
+
+from valve_sim.files.json_text import plain_mapping
+from valve_sim.files.plant_files import PlantFile, renamed
+from valve_sim.files.whole_files import write_whole
+from valve_sim.identification.diagnosis.own_plant import PlantIdentification, PlantValidation
+from valve_sim.identification.diagnosis.run import Diagnosis
+from valve_sim.identification.estimation.declared_values import declared_values
+from valve_sim.identification.estimation.result import Fit
+from valve_sim.identification.plants.own import OwnPlant
+from valve_sim.identification.reporting.intervals import interval_lines, intervals_json
+from valve_sim.identification.reporting.units import quantity
+from valve_sim.model.core.own.grammar import Expr, names_in
+from valve_sim.model.core.own.units import text_of
+
+
+def plant_identification_json(result: PlantIdentification) -> dict[str, Any]:
+    """The content of identify.json: SI units."""
+    plant = result.plant
+    return plain_mapping(
+        {
+            "schema": "valve_sim/identification/1",
+            "sources": [recording.source for recording in plant.recordings],
+            "plant": plant.file.path,
+            "parameters": intervals_json(result.intervals),
+            "units": {name: plant.parameter(name).unit for name in result.intervals},
+            "rmse": {
+                own.channel: {"before": own.before, "after": own.after, "noise": own.noise, "unit": own.unit}
+                for own in result.errors
+            },
+            "declared": {
+                own.name: {
+                    "value": own.mean, "tolerance": own.sigma, "estimate": result.fit.values[own.name],
+                    "deviation": (result.fit.values[own.name] - own.mean) / own.sigma,
+                }
+                for own in result.fit.nuisances if own.is_of_machine
+            },
+            "recording": {
+                own.name: {"estimate": result.fit.values[own.name], "unit": own.unit}
+                for own in result.fit.nuisances if not own.is_of_machine
+            },
+            "chi2_per_sample": result.fit.chi2 / result.fit.problem.effective_samples,
+            "converged": result.fit.converged,
+        }
+    )  # fmt: skip
+
+
+def plant_identification_text(result: PlantIdentification) -> str:
+    """Values, errors, declared values, and what the data do not determine."""
+    plant = result.plant
+    lines = interval_lines(plant, result.intervals, 34)
+    for own in result.fit.nuisances:
+        if own.is_of_machine:
+            found_value = result.fit.values[own.name]
+            deviation = (found_value - own.mean) / own.sigma
+            if abs(deviation) > 3.0:
+                lines.append(
+                    f"{own.name}: {quantity(found_value, own.unit, 5)} fits, {quantity(own.mean, own.unit, 5)} is "
+                    f"declared: {abs(deviation):.1f} tolerances"
+                )
+    lines += [
+        f"{own.channel}: rms error {quantity(own.before, own.unit)} as declared, {quantity(own.after, own.unit)} "
+        f"refitted; noise {quantity(own.noise, own.unit)}"
+        for own in result.errors
+    ]
+    return "\n".join(lines)
+
+
+def plant_validation_json(result: PlantValidation) -> dict[str, Any]:
+    """Each part of each recording, SI units."""
+    return plain_mapping(
+        {
+            "schema": "valve_sim/validation/1",
+            "plant": result.plant.file.path,
+            "passed": result.passed,
+            "parts": [
+                {
+                    "channel": part.channel, "part": part.group + 1, "rmse": part.rmse, "tolerance": part.allowed,
+                    "unit": part.unit, "passed": part.passed,
+                }
+                for part in result.parts
+            ],
+        }
+    )  # fmt: skip
+
+
+def plant_validation_text(result: PlantValidation) -> str:
+    """A line for each part, and the outcome."""
+    lines = [
+        f"{'ok     ' if part.passed else 'OUTSIDE'} {part.channel}, part {part.group + 1}: rms error "
+        f"{quantity(part.rmse, part.unit)}, allowed {quantity(part.allowed, part.unit)}"
+        for part in result.parts
+    ]
+    outside = sum(not part.passed for part in result.parts)
+    return "\n".join(
+        [*lines, "within the tolerance" if not outside else f"outside the tolerance: {outside} of {len(result.parts)}"]
+    )
+
+
+def plant_validation_junit(result: PlantValidation) -> str:
+    """A JUnit report with a test case for each part."""
+    cases = []
+    for part in result.parts:
+        name = quoteattr(f"{part.channel}, part {part.group + 1}")
+        words = f"rms error {quantity(part.rmse, part.unit)}, allowed {quantity(part.allowed, part.unit)}"
+        inside = "" if part.passed else f"<failure message={quoteattr(words)}>{escape(words)}</failure>"
+        cases.append(f'  <testcase classname="valve_sim.validate" name={name}>{inside}</testcase>')
+    failures = sum(not part.passed for part in result.parts)
+    head = f'<testsuite name="valve-sim validate" tests="{len(cases)}" failures="{failures}">'
+    return "\n".join(['<?xml version="1.0" encoding="UTF-8"?>', head, *cases, "</testsuite>", ""])
+
+
+def corrected_plant(diagnosis: Diagnosis) -> dict[str, Any]:
+    """The plant's file with the values that a diagnosis found, and what it names among the equations."""
+    plant = diagnosis.plant
+    assert isinstance(plant, OwnPlant)
+    result = diagnosis.after.fit
+    names = tuple(name for name in diagnosis.verdict.effects if name in plant.file.effects)
+    return changed_plant(plant.file, result, names if diagnosis.verdict.kind == "effects" else ())
+
+
+def changed_plant(  # noqa: PLR0912 -- one for each part of a file
+    file: PlantFile, result: Fit, effects: Sequence[str] = ()
+) -> dict[str, Any]:
+    """The content of a plant's file with the values of a fit, and some of its effects among the equations.
+
+    A value with a tolerance has its standard error for the new one.
+    """
+    values = result.values
+    errors = {row.name: row.stderr for row in declared_values(result)}
+    found: dict[str, Any] = {key: value for key, value in file.text.items() if key != "plant"}
+    found = {"plant": "equations", **yaml.safe_load(yaml.safe_dump(found, sort_keys=False))}
+    found.setdefault("parameters", {})
+    for name, entry in file.parameters.items():
+        if name in values and math.isfinite(values[name]):
+            value = min(max(values[name], entry.lower), entry.upper)
+            found["parameters"][name]["value"] = float(f"{value / entry.unit.factor:.9g}")
+            if name in errors and 0.0 < errors[name] < math.inf:
+                found["parameters"][name]["tolerance"] = float(f"{errors[name] / entry.unit.factor:.3g}")
+    derivatives = dict(file.derivatives)
+    outputs = {name: own.value for name, own in file.outputs.items()}
+    for effect in effects:
+        chosen = file.effects[effect]
+        own = {name: f"{effect}_{name}" for name in chosen.parameters}
+        for target, name in chosen.delay.items():
+            entry = found["inputs" if target in file.inputs else "outputs"][target]
+            entry["delay"] = float(f"{entry.get('delay', 0.0) + values[f'{effect}.{name}']:.9g}")
+        used = {name for added in chosen.add.values() for name in names_in(added)}
+        for name, parameter in chosen.parameters.items():
+            if name not in used:
+                continue
+            value = values[f"{effect}.{name}"]
+            ends = [end / parameter.unit.factor for end in (parameter.lower, parameter.upper)]
+            declared: dict[str, Any] = {"value": float(f"{value / parameter.unit.factor:.9g}")}
+            source = file.text["effects"][effect]["parameters"][name]
+            if "unit" in source:
+                declared["unit"] = source["unit"]
+            if all(map(math.isfinite, ends)):
+                declared["range"] = ends
+            found["parameters"][own[name]] = declared
+        for target, added in chosen.add.items():
+            place = derivatives if target in derivatives else outputs
+            place[target] = Expr("+", (place[target], renamed(added, own)))
+        del found["effects"][effect]
+        for other in found["effects"].values():
+            if "confused_with" in other:
+                alike = other["confused_with"]
+                other["confused_with"] = [
+                    one for one in ([alike] if isinstance(alike, str) else alike) if one != effect
+                ]
+    if effects:
+        found["derivatives"] = {name: text_of(own) for name, own in derivatives.items()}
+        for name, expression in outputs.items():
+            found["outputs"][name]["value"] = text_of(expression)
+        if not found["effects"]:
+            del found["effects"]
+    return found
+
+
+def save_plant(path: Path, content: Mapping[str, Any], provenance: str) -> None:
+    """Write a plant's file with comments on where it is from."""
+    comments = "".join(f"# {line}\n" for line in provenance.splitlines())
+    text = yaml.safe_dump(dict(content), sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
+    write_whole(path, comments + text)

@@ -1,0 +1,74 @@
+"""A verdict in sentences: its summary, and what to record next."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+from typing import Final
+
+from valve_sim.identification.diagnosis.run import Diagnosis, Verdict
+from valve_sim.identification.plants.advice import Advice, advice_of
+from valve_sim.identification.plants.effect_titles import named, what_is_missing
+from valve_sim.identification.reporting.wording import declared_effects, percent
+
+SHOWN_UNTRIED: Final = 4
+"""How many of the untried hypotheses the summary names."""
+
+
+def summarise(diagnosis: Diagnosis) -> str:
+    """What is claimed, how well that is known, and what was left untried."""
+    verdict, untried = diagnosis.verdict, diagnosis.untried
+    sentences = [claim(verdict, advice_of(diagnosis.plant), declared_effects(diagnosis.plant))]
+    if verdict.kind == "insufficient":
+        sentences.append(recording_advice(diagnosis))
+    if untried:
+        few = ", ".join(untried[:SHOWN_UNTRIED]) + (", ..." if len(untried) > SHOWN_UNTRIED else "")
+        sentences.append(
+            f"{len(untried)} sets were left untried, by the budget or because they cannot be simulated: {few}."
+        )
+    return " ".join(sentences)
+
+
+def recording_advice(diagnosis: Diagnosis) -> str:
+    """What to record next to separate the candidates, and the best single pulse; empty where nothing is open."""
+    if not diagnosis.verdict.is_open:
+        return ""
+    advice = advice_of(diagnosis.plant)
+    words = advice.first if diagnosis.verdict.strokes <= 1 else advice.more
+    best = diagnosis.recommendation
+    if best is None:
+        return f"{words}."
+    one, other = (named(candidate.split(" + ")) for candidate in best.pair)
+    return (
+        f"{words}; the best single pulse is {best.experiment.words}: {best.repeats} of them separate {one} from "
+        f"{other} by {math.sqrt(best.repeats) * best.separation:.0f} standard deviations, and other pairs by more."
+    )
+
+
+def claim(verdict: Verdict, advice: Advice, declared: Collection[str] = ()) -> str:
+    """The verdict in one or two sentences.
+
+    Args:
+        verdict: what is claimed.
+        advice: of the plant, which says why a single stroke is not enough.
+        declared: effects that the declared model has already.
+    """
+    if verdict.kind == "unknown":
+        share = f"explains {percent(verdict.share)} of the squared error beyond noise"
+        closest = f" The nearest is {named(verdict.effects)}, which {share}." if verdict.effects else ""
+        return f"Something acts that no effect of the catalogue explains.{closest}"
+    if verdict.kind == "none":
+        return "The declared model with refitted damping explains the data down to the noise."
+    others = sorted({other for names in verdict.confusable_with.values() for other in names})
+    alike = named(others, "or")
+    if verdict.kind == "insufficient":
+        if verdict.strokes <= 1:
+            return f"{advice.ambiguous[:1].upper()}{advice.ambiguous[1:]}."
+        nearest = named(verdict.effects) if verdict.effects else "no effect at all"
+        rivals = f", or {alike} in its place," if alike else ""
+        return (
+            f"The data cannot tell what the model lacks: {nearest}{rivals} is the likeliest, with a probability of "
+            f"{percent(verdict.probability)}."
+        )
+    alternatives = f"; {alike} would explain the data about as well" if alike else ""
+    return f"The model {what_is_missing(verdict.effects, declared)}{alternatives}."

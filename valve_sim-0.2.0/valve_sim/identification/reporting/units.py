@@ -1,0 +1,105 @@
+"""Numbers for people: in a unit that suits their size, with as many digits as their error has, without exponents."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Final
+
+from valve_sim.identification.estimation.intervals import Interval
+from valve_sim.identification.plants.protocol import Plant
+
+_PREFIXES: Final[Mapping[str, tuple[tuple[float, str], ...]]] = {
+    "m": ((1e-3, "µm"), (1.0, "mm")),
+    "s": ((1e-3, "µs"), (1.0, "ms"), (math.inf, "s")),
+    "A": ((1.0, "mA"), (math.inf, "A")),
+    "Hz": ((1e3, "Hz"), (math.inf, "kHz")),
+    "Pa": ((1e6, "kPa"), (math.inf, "MPa")),
+    "H": ((1e-3, "µH"), (1.0, "mH"), (math.inf, "H")),
+    "m²": ((math.inf, "mm²"),),
+    "m³": ((math.inf, "cm³"),),
+}
+"""SI unit to display units, each for sizes below its bound."""
+_FACTORS: Final = {
+    "µm": 1e6,
+    "mm": 1e3,
+    "µs": 1e6,
+    "ms": 1e3,
+    "mA": 1e3,
+    "kHz": 1e-3,
+    "kPa": 1e-3,
+    "MPa": 1e-6,
+    "µH": 1e6,
+    "mH": 1e3,
+    "mm²": 1e6,
+    "cm³": 1e6,
+}
+_NO_UNIT: Final = ("", "–")
+_MOST_PLACES: Final = 7
+_LARGE: Final = 1e5
+_RAISED: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def readable(unit: str, size: float) -> tuple[float, str]:
+    """Factor from SI and name of the display unit for a value of this size."""
+    options = _PREFIXES.get(unit, ())
+    name = next((name for bound, name in options if abs(size) < bound), options[-1][1] if options else unit)
+    return _FACTORS.get(name, 1.0), "" if name in _NO_UNIT else name
+
+
+def quantity(value: float, unit: str, digits: int = 3) -> str:
+    """A number with the unit that suits its size; – where it is not known."""
+    if math.isnan(value):
+        return "–"
+    if math.isinf(value):
+        return "−∞" if value < 0.0 else "∞"
+    scale, name = readable(unit, value)
+    return f"{_short(scale * value, digits)} {name}".rstrip()
+
+
+def three_digits(value: float) -> str:
+    """With trailing zeros, 1.00, so that columns can be compared; – where it is not known."""
+    return "–" if math.isnan(value) else _short(value, 3)
+
+
+def listed_values(plant: Plant, values: Mapping[str, float], digits: int = 4) -> str:
+    """Values by name, each with its unit, as in a sentence."""
+    return ", ".join(f"{name} {quantity(value, plant.parameter(name).unit, digits)}" for name, value in values.items())
+
+
+def measured(found: Interval, unit: str) -> str:
+    """A value with its standard error, both in the unit that suits them and to the two digits that the error has."""
+    if not (math.isfinite(found.value) and math.isfinite(found.stderr)):
+        return quantity(found.value, unit)
+    scale, name = readable(unit, found.value or found.stderr)
+    value, error = scale * found.value, scale * found.stderr
+    places = 1 - math.floor(math.log10(error)) if error > 0.0 else _MOST_PLACES
+    if not 0 <= places < _MOST_PLACES or abs(value) >= _LARGE:
+        return f"{_short(value, 5)} ± {_short(error, 2)} {name}".rstrip()
+    return f"{value:.{places}f} ± {error:.{places}f} {name}".rstrip().replace("-", "−")
+
+
+def limits(found: Interval, unit: str) -> str:
+    """The 95 % interval; an open end is infinite."""
+    scale, name = readable(unit, found.value if math.isfinite(found.value) else found.low)
+    low, high = (
+        _short(scale * end, 4) if math.isfinite(end) else ("−∞" if end < 0 else "∞") for end in (found.low, found.high)
+    )
+    return f"{low} to {high} {name}".rstrip()
+
+
+def signed(value: float, places: int) -> str:
+    """With its sign, U+2212 for a minus, and so many decimals; what is rounded to nothing has none."""
+    words = f"{value:+.{places}f}".replace("-", "−")
+    return words if any(digit in words for digit in "123456789") else words[1:]
+
+
+def _short(value: float, digits: int) -> str:
+    """So many significant digits, an exponent only where the number would be long, and U+2212 for a minus."""
+    text = f"{value:#.{digits}g}".rstrip(".")
+    mantissa, e, exponent = text.partition("e")
+    if e and 1e-4 <= abs(value) < _LARGE:
+        text = f"{value:.0f}" if abs(value) >= 1.0 else f"{value:.{digits + 3}f}"
+    elif e:
+        text = f"{mantissa}·10{str(int(exponent)).translate(_RAISED)}"
+    return text.replace("-", "−")

@@ -1,0 +1,1 @@
+"""Which effects act: hypotheses, the search over them, their evidence and posterior, predictions of held-out data."""

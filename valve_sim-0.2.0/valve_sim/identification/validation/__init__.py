@@ -1,0 +1,1 @@
+"""A declared valve replayed beside recordings."""

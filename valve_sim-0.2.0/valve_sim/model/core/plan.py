@@ -1,0 +1,159 @@
+"""What is compiled for a set of effects, and the blocks of valves that have them."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import struct
+import threading
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valve_sim.model.core import driver, entries, gas_steps, layout, modes, steps
+from valve_sim.model.core.entries import ENTRIES, Method
+from valve_sim.model.core.equations import build
+from valve_sim.model.core.kernels import NAMES, Kernels
+from valve_sim.model.core.lowering import lowered
+from valve_sim.model.core.machine import Library, library, made_once
+from valve_sim.model.core.symbols import Effect
+from valve_sim.model.errors import ParameterError
+
+Array = NDArray[np.float64]
+POINTER: Final = ctypes.c_void_p
+_SLOTS: Final = {name: getattr(layout, "ROWS_AT" if name == "rows" else name.upper()) for name in NAMES}
+_ENTRIES: Final = ("drive", "renumber", "start", "batch", "settle", "set_pressures", "whole", *ENTRIES)
+
+
+def as_double(address: int) -> float:
+    """A double of the same bits as an address."""
+    return float(struct.unpack("<d", struct.pack("<q", address))[0])
+
+
+@made_once
+def integrator() -> Library:
+    """The compiled integrator."""
+    entries.resolve()
+    return library("driver", lambda: lowered(driver.FUNCTIONS, _ENTRIES) + entries.text())
+
+
+@made_once
+def entry(name: str) -> Any:
+    """A function of the integrator that Python can call; it releases the interpreter's lock."""
+    signature: tuple[Any, ...] = {
+        "drive": (ctypes.c_int64, *[POINTER] * 3, ctypes.c_int64, ctypes.c_double, ctypes.c_int64, POINTER,
+                  ctypes.c_int64, POINTER, ctypes.c_int64, *[POINTER] * 2, ctypes.c_int64, *[POINTER] * 4,
+                  ctypes.c_int64),
+        "renumber": (None, *[POINTER] * 4),
+        "settle": (None, POINTER),
+        "set_pressures": (None, *[POINTER] * 2),
+        "start": (None, *[POINTER] * 4, ctypes.c_int64, ctypes.c_double),
+        "batch": (ctypes.c_int64, *[POINTER] * 3, ctypes.c_int64, ctypes.c_int64, ctypes.c_double, POINTER,
+                  ctypes.c_int64, ctypes.c_double, ctypes.c_int64, POINTER, ctypes.c_int64, POINTER),
+    }[name]  # fmt: skip
+    return ctypes.CFUNCTYPE(*signature)(integrator().address(name))
+
+
+@made_once
+def method(name: str) -> Method:
+    """A function of the integrator as one of Python, to be bound; it lives as long as what is bound to it."""
+    return Method(name, integrator().address(f"py_{name}"))
+
+
+class Plan:
+    """The equations of a set of effects, compiled.
+
+    Args:
+        effects: in the order in which they act. shapes: values of the parameters that shape these.
+        freewheels: whether the current may freewheel. has_gas, has_demand: see `equations.build`.
+        width: directions of derivatives, to any parameters; 0 for none.
+    """
+
+    def __init__(
+        self,
+        effects: Sequence[Effect],
+        *,
+        shapes: Sequence[float] = (),
+        freewheels: bool = False,
+        has_gas: bool = False,
+        has_demand: bool = False,
+        width: int = 0,
+    ) -> None:
+        system = build(effects, shapes=shapes, freewheels=freewheels, has_gas=has_gas, has_demand=has_demand)
+        kernels = Kernels(system, width)
+        if kernels.guard_count > layout.MOST_GUARDS or len(system.parameters) > layout.MOST_NUMBERS:
+            raise ParameterError(
+                f"effects {', '.join(effect.name for effect in effects)}: found {kernels.guard_count} comparisons and "
+                f"{len(system.parameters)} numbers, expected at most {layout.MOST_GUARDS} and {layout.MOST_NUMBERS}; "
+                "take one out"
+            )
+        key = f"{system.trace.digest()} {width}"
+        self.parameters, self.states = system.parameters, kernels.names
+        self._library = library(key, kernels.text)
+        blank = np.zeros(layout.SIZE)
+        for name in kernels.made:
+            blank[_SLOTS[name]] = as_double(self._library.address(name))
+        blank[layout.STATES] = len(kernels.names)
+        blank[layout.GUARDS] = kernels.guard_count
+        blank[layout.IS_CHECKED] = system.is_checked
+        blank[layout.HAS_PEAK] = system.peak is not None
+        blank[layout.IS_FLUX] = system.flux_slope is not None
+        blank[layout.WIDTH] = width
+        blank[layout.NUMBER_COUNT] = len(system.parameters)
+        is_integrated = any(state.after is None for name, state in system.states.items() if name != "density")
+        warm = kernels.names.index("temperature") if "temperature" in kernels.names else len(kernels.names)
+        blank[layout.WARM] = warm if is_integrated else -1.0
+        if has_gas:
+            blank[layout.DENSITY] = layout.COIL + kernels.names.index("density")
+            blank[layout.HAS_DEMAND] = has_demand
+            blank[layout.READS_TIME] = system.reads_time
+            blank[layout.GAS_STEP] = gas_steps.FIRST_STEP
+        if kernels.curve is not None:
+            slots = (layout.CURVE, layout.IS_PERIODIC, layout.LOW_GUARD, layout.HIGH_GUARD)
+            blank[list(slots)] = kernels.curve
+        blank[layout.MODE] = modes.CLOSED
+        blank[layout.DIRECTION] = 1.0
+        blank[layout.LONGEST] = steps.ANY_STEP
+        self.blank = blank
+
+    def block(self, numbers: Array, tolerance: float, start: float, tangents: Array | None = None) -> Array:
+        """The block of a valve that rests closed and without current at a time, s.
+
+        Args:
+            numbers: in the order of `parameters`. tolerance: relative error of one step.
+            tangents: (layout.SIZE, width) those of the numbers, completed; None without derivatives.
+        """
+        block = np.empty(layout.SIZE)
+        address = block.ctypes.data
+        beside = address if tangents is None else tangents.ctypes.data
+        entry("start")(address, beside, self.blank.ctypes.data, numbers.ctypes.data, len(numbers), start)
+        block[layout.TOLERANCE] = tolerance
+        return block
+
+
+_LOCK: Final = threading.Lock()
+
+
+def plan_of(
+    effects: tuple[Effect, ...],
+    shapes: tuple[float, ...] = (),
+    width: int = 0,
+    *,
+    freewheels: bool = False,
+    has_gas: bool = False,
+    has_demand: bool = False,
+) -> Plan:
+    """The plan of a set of effects, made once a process, by one thread at a time.
+
+    Whoever keeps a block keeps its plan, too: the block calls code that goes with it.
+    """
+    with _LOCK:
+        return _kept_plan(effects, shapes, width, freewheels, has_gas, has_demand)
+
+
+@functools.lru_cache(maxsize=512)
+def _kept_plan(effects: tuple[Effect, ...], shapes: tuple[float, ...], width: int, *has: bool) -> Plan:
+    freewheels, has_gas, has_demand = has
+    return Plan(effects, shapes=shapes, freewheels=freewheels, has_gas=has_gas, has_demand=has_demand, width=width)

@@ -1,0 +1,258 @@
+"""One run of a valve, in pieces if need be, with derivatives of what the sensors show if they are asked for."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valve_sim.model.core import layout
+from valve_sim.model.core.plan import Plan, entry
+from valve_sim.model.core.samples import GAS_COLUMNS, ROW_COLUMNS
+from valve_sim.model.drives import Drive
+from valve_sim.model.errors import ParameterError
+from valve_sim.model.parameters import closest
+from valve_sim.model.simulation import TOLERANCE, check_geometry, check_outcome, commands_of, most_steps, start_of
+from valve_sim.model.valve import Valve
+
+Array = NDArray[np.float64]
+WIDTHS: Final = (0, 4, 16)
+"""Directions are carried by the processor's vectors, and each width is compiled anew: more than the last take turns."""
+_MOST: Final = WIDTHS[-1]
+NO_TIMES: Final = np.empty(0)
+
+
+@dataclass(frozen=True)
+class Directions:
+    """How the input of a run changes with k parameters: its derivatives by them.
+
+    Attributes:
+        numbers: (k, m) of the valve's numbers, in the order of `Valve.plan().parameters`.
+        command_times: (k, c) of the commands' times. command_volts: (k, c) of their voltages.
+        sample_times: (k,) of all sample times: −1 for a clock whose samples are stamped late.
+    """
+
+    numbers: Array
+    command_times: Array
+    command_volts: Array
+    sample_times: Array
+
+    @classmethod
+    def of(cls, valve: Valve, drive: Drive, names: Sequence[str]) -> Directions:
+        """The directions of single parameters, "pilot_damping" or "coulomb_friction.force".
+
+        Raises:
+            ParameterError: the valve has no such parameter.
+        """
+        known = valve.plan().parameters
+        numbers = np.zeros((len(names), len(known)))
+        for row, name in enumerate(names):
+            if name not in known:
+                raise ParameterError(f"{name}: no such parameter; did you mean {closest(name, known)}?")
+            numbers[row, known.index(name)] = 1.0
+        nothing = np.zeros((len(names), len(drive.times)))
+        return cls(numbers, nothing, nothing, np.zeros(len(names)))
+
+    def among(self, commands: Array) -> Directions:
+        """The same where pressures change among the commands of a drive, on the clock of the samples.
+
+        Args:
+            commands: (c, `driver.CHANGES`), see `simulation.commands_of`.
+        """
+        is_voltage = ~np.isnan(commands[:, 1])
+        late = self.sample_times[:, None]
+        times, volts = np.empty((2, len(late), len(commands)))
+        times[:, is_voltage], volts[:, is_voltage] = self.command_times, self.command_volts
+        times[:, ~is_voltage], volts[:, ~is_voltage] = late, 0.0
+        return Directions(self.numbers, times, volts, self.sample_times)
+
+
+class Shown(NamedTuple):
+    """What a run, or a piece of it, shows.
+
+    Attributes:
+        positions: (n,) m, of the pilot plunger as shown. currents: (c,) normalised current u.
+        of_positions: (n, k) m over the unit of each parameter. of_currents: (c, k) likewise.
+        pressures: (p,) Pa, in the outlet of a valve with gas. of_pressures: (p, k) likewise.
+        events: (e, 4) those there was room for: s, number of the kind, m, m/s before it.
+        event_count: how many there were.
+    """
+
+    positions: Array
+    currents: Array
+    of_positions: Array
+    of_currents: Array
+    events: Array
+    event_count: int
+    pressures: Array
+    of_pressures: Array
+
+
+class _Tile(NamedTuple):
+    """The block of a valve, tangents in some of the directions, and the code for both."""
+
+    plan: Plan
+    block: Array
+    tangents: Array
+    own: slice
+
+
+class Run:
+    """A valve that rests closed and without current at first, on its way through a drive.
+
+    Args:
+        valve: what is simulated. start: s. tolerance: relative error of one step.
+        directions: what derivatives are taken by; None: none are.
+        numbers: of the valve, in place of its own.
+
+    Raises:
+        SimulationError: the gap is not inside the stroke.
+    """
+
+    def __init__(
+        self, valve: Valve, start: float, *, tolerance: float = TOLERANCE, directions: Directions | None = None,
+        numbers: Array | None = None,
+    ) -> None:  # fmt: skip
+        self._directions = directions
+        own = valve.numbers() if numbers is None else np.ascontiguousarray(numbers)
+        count = 0 if directions is None else len(directions.numbers)
+        self._count, self._tiles = count, list[_Tile]()
+        for first in range(0, max(count, 1), _MOST):
+            part = slice(first, min(first + _MOST, count))
+            width = width_of(part.stop - part.start)
+            tangents = np.zeros((layout.SIZE, width))
+            if directions is not None:
+                used = part.stop - part.start
+                tangents[layout.NUMBERS : layout.NUMBERS + len(own), :used] = directions.numbers[part].T
+                tangents[layout.LATE, :used] = directions.sample_times[part]
+            plan = valve.plan(width)
+            block = plan.block(own, tolerance, start, tangents if width else None)
+            check_geometry(block)
+            self._tiles.append(_Tile(plan, block, tangents if width else block, part))
+
+    def piece(
+        self, commands: Array, end: float, times: Array, current_times: Array = NO_TIMES,
+        pressure_times: Array = NO_TIMES, *, first: int = 0, room: int = 0,
+    ) -> Shown:  # fmt: skip
+        """Go on with some commands to a time, s.
+
+        Args:
+            commands: (c, `driver.CHANGES`), those up to the end, see `simulation.commands_of`. first: number of the
+                first of them among those of the run.
+            end: s; where it is the time of the last command, the valve may be another one from there on.
+            times: (n,) s, ascending, of positions. current_times, pressure_times: (m,), (p,) s, likewise, of currents
+                and of the outlet's pressure. All up to the end, positions as much later as the sensor shows them late.
+            room: for so many events.
+
+        Raises:
+            SimulationError: the run could not be carried to the end.
+        """
+        times, commands = np.ascontiguousarray(times), np.ascontiguousarray(commands)
+        others, at_currents, at_pressures = _both(current_times, pressure_times)
+        shown_of = 2 if self._tiles[0].block[layout.DENSITY] else 1
+        positions, seen, events = np.empty(len(times)), np.empty((len(others), shown_of)), np.empty((room, 4))
+        slopes, of_seen = np.empty((len(times), self._count)), np.empty((len(others), shown_of, self._count))
+        for _, block, tangents, own in self._tiles:
+            width, used = int(block[layout.WIDTH]), own.stop - own.start
+            is_whole = used == width == self._count
+            shown = slopes if is_whole else np.empty((len(times), width))
+            shown_others = of_seen if is_whole else np.empty((len(others), shown_of, width))
+            moves = np.zeros((len(commands), 2, width))
+            if self._directions is not None:
+                those = slice(first, first + len(commands))
+                moves[:, 0, :used] = self._directions.command_times[own, those].T
+                moves[:, 1, :used] = self._directions.command_volts[own, those].T
+            block[[layout.COUNT, layout.SAMPLED, layout.SAMPLED_ROWS]] = 0.0
+            outcome = entry("drive")(
+                block.ctypes.data, tangents.ctypes.data, commands.ctypes.data, len(commands), end,
+                most_steps(end - block[layout.TIME]), times.ctypes.data, len(times), positions.ctypes.data, 1,
+                shown.ctypes.data, others.ctypes.data, len(others), seen.ctypes.data, shown_others.ctypes.data,
+                moves.ctypes.data, events.ctypes.data, room,
+            )  # fmt: skip
+            check_outcome(outcome)
+            if not is_whole:
+                slopes[:, own], of_seen[..., own] = shown[:, :used], shown_others[..., :used]
+        found = int(self._tiles[0].block[layout.COUNT])
+        return Shown(
+            positions, seen[at_currents, 0], slopes, of_seen[at_currents, 0], events[: min(found, room)], found,
+            seen[at_pressures, -1], of_seen[at_pressures, -1],
+        )  # fmt: skip
+
+    def rows(self, commands: Array, end: float, times: Array, *, room: int = 0) -> tuple[Array, Array, int]:
+        """As `piece`, of a run without derivatives: whole rows (see `samples.ROW_COLUMNS`), events and their number."""
+        (tile,) = self._tiles
+        block = tile.block.ctypes.data
+        times, commands = np.ascontiguousarray(times), np.ascontiguousarray(commands)
+        columns = GAS_COLUMNS if tile.block[layout.DENSITY] else ROW_COLUMNS
+        rows, events = np.empty((len(times), columns)), np.empty((room, 4))
+        tile.block[[layout.COUNT, layout.SAMPLED, layout.SAMPLED_ROWS]] = 0.0
+        outcome = entry("drive")(
+            block, block, commands.ctypes.data, len(commands), end, most_steps(end - tile.block[layout.TIME]),
+            times.ctypes.data, len(times), rows.ctypes.data, columns, block, block, 0, block, block, block,
+            events.ctypes.data, room,
+        )  # fmt: skip
+        check_outcome(outcome)
+        count = int(tile.block[layout.COUNT])
+        return rows, events[: min(count, room)], count
+
+    def become(self, numbers: Array, slopes: Array | None = None) -> None:
+        """Go on with other numbers, from the last command on, with which the last piece has ended.
+
+        Args:
+            numbers: (m,) of the valve. slopes: (k, m) derivatives of these.
+        """
+        values = np.ascontiguousarray(numbers)
+        for _, block, tangents, own in self._tiles:
+            moved = np.zeros((len(values), int(block[layout.WIDTH])))
+            if slopes is not None:
+                moved[:, : own.stop - own.start] = slopes[own].T
+            entry("renumber")(block.ctypes.data, tangents.ctypes.data, values.ctypes.data, moved.ctypes.data)
+
+    def save(self) -> list[Array]:
+        """All that a run without derivatives is, to be restored."""
+        return [tile.block.copy() for tile in self._tiles]
+
+    def restore(self, saved: list[Array]) -> None:
+        """Be again as when it was saved."""
+        for tile, block in zip(self._tiles, saved, strict=True):
+            tile.block[:] = block
+
+
+def _both(currents: Array, pressures: Array) -> tuple[Array, Any, Any]:
+    """The times of currents and pressures together, s, ascending, and where each of them stand among these."""
+    whole, none = slice(None), slice(0, 0)
+    if not len(pressures):
+        return np.ascontiguousarray(currents), whole, none
+    if not len(currents):
+        return np.ascontiguousarray(pressures), none, whole
+    both = np.union1d(currents, pressures)
+    return both, np.searchsorted(both, currents), np.searchsorted(both, pressures)
+
+
+def width_of(count: int) -> int:
+    """Number of directions of the kernels that serve a number of requested directions."""
+    return next(width for width in WIDTHS if width >= count)
+
+
+def run_sloped(
+    valve: Valve, drive: Drive, sample_times: Array, directions: Directions, *, tolerance: float = TOLERANCE,
+    with_currents: bool = False,
+) -> Shown:  # fmt: skip
+    """A run from rest and its derivatives along k directions.
+
+    Args:
+        valve: what is simulated. drive: the commanded voltage. sample_times: (n,) s, ascending.
+        directions: what the derivatives are taken by. tolerance: relative error of one step.
+        with_currents: whether the current is asked for; its arrays are empty otherwise.
+
+    Raises:
+        SimulationError: the run could not be carried to its end.
+    """
+    times = np.ascontiguousarray(sample_times, dtype=np.float64)
+    run = Run(valve, start_of(drive, times), tolerance=tolerance, directions=directions)
+    end = float(times[-1]) if len(times) else -math.inf
+    return run.piece(commands_of(drive), end, times, times if with_currents else NO_TIMES)

@@ -1,0 +1,256 @@
+"""Simulation of a whole trace, of one valve or of many at once."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from valve_sim.model.core import layout
+from valve_sim.model.core.driver import CHANGES, LONGEST_RUN, MOST_STEPS
+from valve_sim.model.core.machine import made_once
+from valve_sim.model.core.plan import entry, method
+from valve_sim.model.core.samples import GAS_COLUMNS, ROW_COLUMNS
+from valve_sim.model.core_types import EventKind, Outcome
+from valve_sim.model.drives import Drive, Supply
+from valve_sim.model.errors import SimulationError
+from valve_sim.model.response import Event, Response
+from valve_sim.model.valve import Valve
+
+Array = NDArray[np.float64]
+
+TOLERANCE: Final = 1e-10
+"""Relative error of one step; against a 1e-13 reference it leaves events of random valves within 1e-11 s, where ten
+times as much leaves them within 6e-11 s (`python -m benchmarks.accuracy`)."""
+EVENT_ROOM: Final = 256
+"""Events for which there is room at first; a run with more is repeated."""
+_KINDS: Final = tuple(EventKind)
+
+
+def most_steps(duration: float) -> int:
+    """Largest number of steps that a run of a duration, s, may take."""
+    return int(MOST_STEPS * (1.0 + max(0.0, min(duration, LONGEST_RUN))))
+
+
+def start_of(drive: Drive, times: Array) -> float:
+    """When a run begins unless it is said: at the first command or sample, s."""
+    start = min(drive.times[0] if len(drive.times) else math.inf, times[0] if len(times) else math.inf)
+    return float(start) if math.isfinite(start) else 0.0
+
+
+def simulate(
+    valve: Valve,
+    drive: Drive,
+    sample_times: ArrayLike,
+    *,
+    tolerance: float = TOLERANCE,
+    start_time: float | None = None,
+    supply: Supply | None = None,
+) -> Response:
+    """The response of a valve at rest to a commanded voltage.
+
+    Args:
+        valve: what is simulated.
+        drive: the commanded voltage.
+        sample_times: (n,) s, ascending.
+        tolerance: relative error of one step.
+        supply: of a valve with gas: pressures in place of the declared ones.
+        start_time: s; the valve rests closed until then. Default: the first command or sample.
+
+    Raises:
+        SimulationError: the run could not be carried to its end.
+    """
+    times = np.ascontiguousarray(sample_times, dtype=np.float64)
+    start = start_of(drive, times) if start_time is None else start_time
+    plan, count, room, columns = valve.plan(), len(times), EVENT_ROOM, columns_of(valve)
+    numbers, commands = valve.numbers(), commands_of(drive, supply, start)
+    end = float(times[-1]) if count else -math.inf
+    while True:
+        memory = np.empty(layout.SIZE + 4 * room + columns * count)
+        outcome = _whole()(plan.blank, numbers, commands, times, memory, start, end, tolerance)
+        if outcome:
+            check_geometry(memory)
+            check_outcome(outcome)
+        found = int(memory[layout.COUNT])
+        if found <= room:
+            break
+        room = found
+    logged = memory[layout.SIZE : layout.SIZE + 4 * found].reshape(-1, 4).tolist()
+    rows = memory[layout.SIZE + 4 * room :].reshape(count, columns)
+    outlet, flow = rows[:, ROW_COLUMNS:].T if columns > ROW_COLUMNS else (None, None)
+    # A frozen dataclass sets each of its attributes by a call; all of these together take as long as the run.
+    response = Response.__new__(Response)
+    vars(response).update(
+        time=times, pilot_position=rows[:, 0], main_position=rows[:, 1], pilot_velocity=rows[:, 2],
+        coil_current=rows[:, 8], attraction=rows[:, 3], phase=rows[:, 4].astype(np.uint8),
+        events=tuple([Event(t, _KINDS[int(kind)], x, v) for t, kind, x, v in logged]), coil_voltage=rows[:, 6],
+        has_one_plunger=bool(memory[layout.ONE_PLUNGER]), outlet_pressure=outlet, mass_flow=flow,
+    )  # fmt: skip
+    return response
+
+
+@made_once
+def _whole() -> Any:
+    """The run of one valve, as a function of arrays."""
+    return method("whole").bound(0)
+
+
+def commands_of(drive: Drive, supply: Supply | None = None, start: float = -math.inf) -> Array:
+    """(c, `driver.CHANGES`) s, V, and what changes of pressures, in the order of time.
+
+    Args:
+        drive: the commanded voltage. supply: pressures of a valve with gas, from a start on, s.
+    """
+    commands = np.full((len(drive.times), CHANGES), math.nan)
+    commands[:, 0], commands[:, 1] = drive
+    if supply is None:
+        return commands
+    pressures = supply.changes(start)
+    both = np.concatenate([commands, np.insert(pressures, 1, math.nan, axis=1)])
+    return both[np.argsort(both[:, 0], kind="stable")]
+
+
+def columns_of(valve: Valve) -> int:
+    """How many columns a whole row of output has: see `samples.ROW_COLUMNS`."""
+    return ROW_COLUMNS if valve.gas is None else GAS_COLUMNS
+
+
+def check_geometry(block: Array) -> None:
+    """Check that the gap of a block is inside its stroke.
+
+    Raises:
+        SimulationError: it is not.
+    """
+    gap, stroke = float(block[layout.GAP]), float(block[layout.STROKE])
+    if not 0.0 <= gap < stroke:
+        raise SimulationError(f"the simulation cannot start: pilot_gap {gap:g} m is not inside stroke {stroke:g} m")
+
+
+def check_outcome(outcome: int, what: str = "") -> None:
+    """Check that a run was carried to its end.
+
+    Raises:
+        SimulationError: it was not; the message says why.
+    """
+    if outcome == Outcome.FINISHED:
+        return
+    why = {
+        Outcome.STEP_TOO_SMALL: "the forces change faster than error control can follow; look for a parameter that is "
+        "many orders of magnitude off, or, with motional_emf, for a flux that does not grow with the current",
+        Outcome.FLUX_FOLDS: "motional_emf: no current follows from the flux, which must grow with it; look for a coil "
+        "time constant that is too short, or for a saturation that is too strong",
+        Outcome.TOO_MANY_STEPS: f"more than {MOST_STEPS} steps a second are needed; look for a time constant that is "
+        "far below a microsecond",
+        Outcome.CHATTERING: "the plungers chatter without progress in time",
+    }
+    raise SimulationError(f"{what}the simulation stopped early: {why[Outcome(outcome)]}")
+
+
+def run_numbers(
+    valve: Valve,
+    numbers: Array,
+    drive: Drive,
+    sample_times: ArrayLike,
+    *,
+    tolerance: float = TOLERANCE,
+    threads: int | None = None,
+    names: Sequence[int] | None = None,
+) -> Array:
+    """Pilot plunger positions of one valve with other numbers under one drive, on several threads.
+
+    Args:
+        valve: whose effects all have.
+        numbers: (k, m) the numbers of each in the order of the plan's parameters, see `Valve.numbers`.
+        drive: the commanded voltage.
+        sample_times: (n,) s, ascending.
+        tolerance: relative error of one step.
+        threads: how many; default all processors.
+        names: (k,) numbers by which messages call these; default from 0 on.
+
+    Returns:
+        (k, n) m, as the position sensor shows it.
+
+    Raises:
+        SimulationError: a run could not be carried to its end; it names the row.
+    """
+    times = np.ascontiguousarray(sample_times, dtype=np.float64)
+    numbers = np.ascontiguousarray(numbers, dtype=np.float64)
+    positions = np.empty((len(numbers), len(times)))
+    commands = commands_of(drive)
+    start = start_of(drive, times)
+    plan = valve.plan()
+    blank = plan.blank.copy()
+    blank[layout.TOLERANCE] = tolerance
+    workers = threads or os.cpu_count() or 1
+    chunks = [chunk for chunk in np.array_split(np.arange(len(numbers)), workers * 4) if len(chunk)]
+    end = float(times[-1]) if len(times) else -math.inf
+
+    def work(chunk: Any) -> int:
+        own, shown, room = numbers[chunk[0] :], positions[chunk[0] :], np.empty(layout.SIZE)
+        done = entry("batch")(
+            room.ctypes.data, blank.ctypes.data, own.ctypes.data, own.shape[1], len(chunk), start,
+            commands.ctypes.data, len(commands), end, most_steps(end - start), times.ctypes.data, len(times),
+            shown.ctypes.data,
+        )  # fmt: skip
+        if done < len(chunk):
+            failed = int(chunk[0]) + done
+            check_outcome(int(room[layout.OUTCOME]), f"parameter set {failed if names is None else names[failed]}: ")
+        return int(done)
+
+    if workers == 1:
+        for chunk in chunks:
+            work(chunk)
+    else:
+        with ThreadPoolExecutor(workers) as pool:
+            list(pool.map(work, chunks))
+    return positions
+
+
+def simulate_many(
+    valves: Sequence[Valve],
+    drive: Drive,
+    sample_times: ArrayLike,
+    *,
+    tolerance: float = TOLERANCE,
+    threads: int | None = None,
+) -> Array:
+    """Pilot plunger positions of many valves under one drive, on several threads.
+
+    Args:
+        valves: (k,).
+        drive: the commanded voltage.
+        sample_times: (n,) s, ascending.
+        tolerance: relative error of one step.
+        threads: how many; default all processors.
+
+    Returns:
+        (k, n) m, as the position sensor shows it.
+
+    Raises:
+        SimulationError: a run could not be carried to its end; it names the set.
+    """
+    times = np.ascontiguousarray(sample_times, dtype=np.float64)
+    positions = np.empty((len(valves), len(times)))
+    plans = [valve.plan() for valve in valves]
+    for plan in dict.fromkeys(plans):
+        rows = [row for row, own in enumerate(plans) if own is plan]
+        numbers = np.array([valves[row].numbers() for row in rows])
+        positions[rows] = run_numbers(
+            valves[rows[0]], numbers, drive, times, tolerance=tolerance, threads=threads, names=rows
+        )
+    return positions
+
+
+def check_flux(valve: Valve) -> None:
+    """Check that a current follows from the flux of a valve, if its flux is modelled.
+
+    Raises:
+        SimulationError: it does not; the message says why.
+    """
+    if why_not := valve.why_no_flux():
+        raise SimulationError(f"the simulation cannot start: {why_not}")

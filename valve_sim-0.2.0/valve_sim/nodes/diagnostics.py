@@ -1,0 +1,265 @@
+"""What nodes say on /diagnostics, without ROS: timing, command and valve of valve_node, and the calibration record."""
+
+from __future__ import annotations
+
+import enum
+import getpass
+import math
+from collections.abc import Callable, Mapping
+from datetime import datetime
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from valve_sim.model import Valve
+from valve_sim.model.errors import ValveError
+from valve_sim.nodes.live_valve import LiveValve
+from valve_sim.nodes.realtime import NANOSECONDS, Timing
+from valve_sim.records.calibration import declared_numbers, load_changes, load_record, note_changes
+
+SLOWEST_ACCEPTED: Final = 0.95
+"""Achieved rate over publish_rate below which timing is a warning."""
+MOST_OVERRUNS: Final = 0.1
+"""Share of a second's steps that may begin more than a period late before timing is a warning."""
+LONGEST_LATENESS: Final = 0.01
+"""s by which 99 of 100 steps may be late before timing is a warning, however slow the rate."""
+
+
+class Level(enum.IntEnum):
+    """As in diagnostic_msgs/DiagnosticStatus."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+    STALE = 3
+
+
+class Status(NamedTuple):
+    """One diagnostic_msgs/DiagnosticStatus; `task` follows the node's name and a colon."""
+
+    task: str
+    level: Level
+    message: str
+    values: dict[str, str]
+
+
+def timing_status(timing: Timing, rate_wanted: float, waiting_for: str) -> Status:
+    """Whether the node keeps pace with its clock; `waiting_for`: what it cannot step without, or empty."""
+    values = {
+        "rate wanted (Hz)": f"{rate_wanted:g}",
+        "rate reached (Hz)": _number(timing.rate, ".1f"),
+        "lateness p99 (ms)": _number(timing.lateness * 1e3, ".3f"),
+        "overruns": str(timing.overruns),
+        "overruns in the last second": str(timing.overruns_now),
+        "lost steps": str(timing.lost),
+    }
+    if waiting_for:
+        return Status("timing", Level.WARN, f"waiting for {waiting_for}", values)
+    if timing.lost_now:
+        return Status("timing", Level.WARN, f"{timing.lost_now} samples were not published, for lack of time", values)
+    if timing.rate < SLOWEST_ACCEPTED * rate_wanted:
+        return Status("timing", Level.WARN, "slower than publish_rate", values)
+    if timing.overruns_now > MOST_OVERRUNS * timing.steps_now or timing.lateness > LONGEST_LATENESS:
+        message = (
+            f"{timing.overruns_now} of {timing.steps_now} samples came more than a period late, 1 in 100 by more than "
+            f"{timing.lateness * 1e3:.1f} ms: this machine is too busy for publish_rate"
+        )
+        return Status("timing", Level.WARN, message, values)
+    return Status("timing", Level.OK, "keeps pace", values)
+
+
+class RejectionCount:
+    """Counts commands, or pressures, that are ignored; one thread counts, another looks.
+
+    Attributes:
+        rejected: how many, in all.
+    """
+
+    def __init__(self) -> None:
+        self.rejected = 0
+        self._last = math.nan
+        self._is_last_rejected = False
+        self._before = 0
+
+    def accept(self) -> None:
+        """Count one that is obeyed."""
+        self._is_last_rejected = False
+
+    def reject(self, value: float) -> None:
+        """Count one that is ignored."""
+        self.rejected += 1
+        self._last = value
+        self._is_last_rejected = True
+
+    def words(self, unit: str) -> str:
+        """That something was rejected since this was last asked, or last of all; empty if not."""
+        rejected = self.rejected
+        now, self._before = rejected - self._before, rejected
+        if now:
+            return f"{now} rejected, the last of {self._last:g} {unit}; the last good one stays"
+        if self._is_last_rejected:
+            return f"the last, of {self._last:g} {unit}, was rejected; the last good one stays"
+        return ""
+
+
+def command_status(live: LiveValve, now: int, count: RejectionCount, incompatible_publishers: int) -> Status:
+    """Whether commands arrive and are accepted.
+
+    Args:
+        live: obeys them. now: time of its clock, ns.
+        count: of commands that were not finite or beyond max_voltage.
+        incompatible_publishers: how many publishers offer an incompatible QoS now.
+    """
+    age = math.nan if live.last_command is None else (now - live.last_command) / NANOSECONDS
+    values = {
+        "age (s)": _number(age, ".3f"),
+        "voltage (V)": f"{live.volts:g}",
+        "rejected": str(count.rejected),
+        "timed out": str(live.timed_out).lower(),
+        "publishers of incompatible QoS": str(incompatible_publishers),
+    }
+    if message := count.words("V"):
+        return Status("command", Level.WARN, message, values)
+    if live.timed_out:
+        return Status("command", Level.WARN, "none for longer than command_timeout: coil de-energised", values)
+    if live.withdrawn:
+        message = f"max_voltage was set below the last, of {live.withdrawn:g} V: coil de-energised"
+        return Status("command", Level.WARN, message, values)
+    if incompatible_publishers:
+        return Status("command", Level.WARN, unheard_words(incompatible_publishers), values)
+    return Status("command", Level.OK, "none yet" if math.isnan(age) else "accepted", values)
+
+
+def pressure_status(task: str, pressure: float, count: RejectionCount, incompatible_publishers: int) -> Status:
+    """Whether what is heard of the tank's or the demand's pressure is accepted; `pressure`, Pa, is the one in force."""
+    values = {
+        "pressure (Pa)": f"{pressure:g}",
+        "rejected": str(count.rejected),
+        "publishers of incompatible QoS": str(incompatible_publishers),
+    }
+    if message := count.words("Pa"):
+        return Status(task, Level.WARN, message, values)
+    if incompatible_publishers:
+        return Status(task, Level.WARN, unheard_words(incompatible_publishers), values)
+    return Status(task, Level.OK, "accepted", values)
+
+
+def valve_status(live: LiveValve, failure: str, duplicates: int) -> Status:
+    """The phase of the valve, and whether it was put back to rest.
+
+    Args:
+        live: the valve. failure: why it was put back to rest last; empty if it never was.
+        duplicates: how many other nodes have this name.
+    """
+    values = {
+        "phase": live.phase.name.lower(),
+        "strokes": str(live.strokes),
+        "failures": str(live.failures),
+        "other nodes of this name": str(duplicates),
+    }
+    if failure:
+        return Status("valve", Level.ERROR, f"was put back to rest: {failure}", values)
+    if duplicates:
+        return Status("valve", Level.WARN, "another node has this name, and publishes on the same topics", values)
+    return Status("valve", Level.OK, live.phase.name.lower(), values)
+
+
+def unheard_words(publishers: int) -> str:
+    """That there are publishers who cannot be heard."""
+    return f"publishers that offer an incompatible QoS and cannot be heard: {publishers}; publish reliable"
+
+
+def _number(value: float, form: str) -> str:
+    return "none" if math.isnan(value) else format(value, form)
+
+
+class Reminder:
+    """When a lasting problem gets another line in the log: at once, then at intervals that grow threefold.
+
+    A time without trouble as long as the next interval ends it: what comes later is said at once again.
+
+    Args:
+        first: s from the first line to the second. longest: s that no interval exceeds.
+    """
+
+    def __init__(self, first: float = 10.0, longest: float = 3600.0) -> None:
+        self._first, self._longest = first, longest
+        self._interval = first
+        self._said = self._last = -math.inf
+        self._count = 0
+
+    def line(self, now: float, message: str) -> str:
+        """The line to log about a problem at `now`, s; empty for none."""
+        if now - self._last >= self._interval:
+            self._interval, self._said, self._count = self._first, -math.inf, 0
+        self._last = now
+        self._count += 1
+        if now - self._said < self._interval:
+            return ""
+        is_first = self._said == -math.inf
+        words = message if is_first else f"{message}; seen {self._count} times in the last {now - self._said:.0f} s"
+        if not is_first:
+            self._interval = min(3.0 * self._interval, self._longest)
+        self._said, self._count = now, 0
+        return words
+
+
+class CalibrationWatch:
+    """A record that was loaded, and its journal, to which a node appends what it declares otherwise.
+
+    Args:
+        path: of the record. node: its full name, for the journal. say: logs what a person should know.
+
+    Raises:
+        ValveError: the record, or its journal, cannot be read or was changed by hand.
+    """
+
+    def __init__(self, path: Path, node: str, say: Callable[[str], object]) -> None:
+        self._path, self._node, self._say = path, node, say
+        self._record, self._failure = load_record(path), ""
+        self._changes, self._said = len(load_changes(path)), list[str]()
+        self._noted: Mapping[str, float | None] | None = None
+
+    def note(self, valve: Valve, now: datetime) -> None:
+        """Append to the journal, all or nothing, in what a valve differs from the one declared before; `now` in UTC.
+
+        The first one is compared with the record and its journal. What could not be written is part of the next entry.
+        """
+        declared = declared_numbers(valve)
+        try:
+            changes = note_changes(self._path, declared, f"{self._node} ({_user()})", now, self._noted)
+            self._changes = len(load_changes(self._path))
+        except ValveError as error:
+            self._failure = f"changes are not in the journal: {error}"
+            self._say(self._failure)
+            return
+        self._noted, self._failure = declared, ""
+        for change in changes:
+            self._say(f"changed since the calibration: {change.parameter} {change.before} → {change.after}")
+
+    def status(self, now: datetime) -> Status:
+        """Whether the calibration holds at a time, in UTC: WARN where something speaks against it, which is said once.
+
+        The time is the system's, which has the date also where that of the node is simulated.
+        """
+        record, remarks = self._record, self._record.remarks(now)
+        for words in remarks:
+            if words not in self._said:
+                self._say(words)
+        self._said = remarks
+        values = {
+            "serial number": record.serial_number,
+            "signed by": record.signed_by,
+            "signed at": record.signed_at,
+            "valid until": record.valid_until,
+            "changes since": str(self._changes),
+        }
+        against = [*remarks, *([self._failure] if self._failure else [])]
+        words = "; ".join(against) or f"valid until {record.valid_until}"
+        return Status("calibration", Level.WARN if against else Level.OK, words, values)
+
+
+def _user() -> str:
+    try:
+        return getpass.getuser()
+    except (OSError, KeyError):
+        return "a user without a name"

@@ -1,0 +1,410 @@
+"""The node `identification`: a recording, a replay and a task wired to topics. No physics, no fitting.
+
+Threads: callbacks run in the main thread. A `Replay` thread publishes what is due, a `Task` thread refits, publishes
+the result and hands it on.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import queue
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.parameter import Parameter, parameter_value_to_python
+from rclpy.parameter_client import AsyncParameterClient
+from rclpy.task import Future
+from std_msgs.msg import Float64, String
+from std_srvs.srv import Trigger
+
+from valve_sim.files.parameter_files import default_valve, load_valve, read_tolerances
+from valve_sim.files.parameter_sections import Section, write_sections
+from valve_sim.identification.estimation.intervals import Interval
+from valve_sim.model import CATALOGUE, DECLARED, ParameterError, Valve
+from valve_sim.model.gas import GAS
+from valve_sim.nodes import settings, topics
+from valve_sim.nodes.diagnostics import Status
+from valve_sim.nodes.identification_work import (
+    BEFORE_FILE,
+    Applied,
+    Outcome,
+    Prediction,
+    Progress,
+    Replay,
+    Task,
+    fit_or_diagnose,
+    freed,
+    measured_reading,
+    measured_voltages,
+    predict,
+    read_recording,
+    replay_status,
+    report_text,
+)
+from valve_sim.nodes.messages import ReadingMessages
+from valve_sim.nodes.settings import IdentificationSettings, identification_settings
+from valve_sim.nodes.valve_parameters import TOLERANCES, valve_table
+from valve_sim.nodes.wiring import Interface, RosNode, declared, full_name
+
+_DELIVERY: Final = Duration(seconds=2)
+"""s that the node waits at its end until subscribers have the result."""
+FIND_SECONDS: Final = 10.0
+"""Time in which a node must be found: announcements that DDS loses are repeated every 3 s."""
+ANSWER_SECONDS: Final = 10.0
+"""Time in which it must answer, all requests together."""
+_REQUESTS: Final = 4
+"""Requests to a node that does not answer: a reply that is sent before DDS has matched its reader is lost."""
+_DIGITS: Final = 5
+_EXACT: Final = 0.0
+"""Of a tolerance that is not given."""
+Values = dict[str, Any]
+"""Flat parameter name to value."""
+
+
+class IdentificationNode(RosNode):
+    """The node `identification`, with the topics and services `topics.IDENTIFICATION`.
+
+    The prediction is by the declared valve until the refitted one is known. Parameters: `settings.IDENTIFICATION`; they
+    are read once, at the start. It ends when the recording has been played and the result is known, but for `loop` and
+    `linger`.
+
+    Args:
+        sections: (file, section) of the parameter files on the command line.
+
+    Raises:
+        ValveError: a parameter, the recording or the parameter file cannot be used.
+    """
+
+    def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
+        super().__init__("identification")
+        self._settings: IdentificationSettings = declared(
+            self._node, sections, settings.IDENTIFICATION, identification_settings
+        )
+        self._folder = _output_folder(self._settings)
+        given = self._settings.apply_to
+        target = full_name(self._node, given, "apply_to") if given else ""
+        self._declared = load_valve(self._settings.params) if self._settings.params else default_valve()
+        self._trace = read_recording(self._settings, self._declared)
+        self._voltages = measured_voltages(self._trace)
+        self._remote = RemoteParameters(self._node, target) if target else None
+        self._before: Values = {}
+        self._prediction: Prediction | None = None
+        self._refusal = ""
+        self._task = Task(self._work, self._report)
+        rate, loop = self._settings.rate, self._settings.loop
+        self._replay = Replay(self._clock, self._trace, rate=rate, loop=loop, player=self)
+        self._threads += (self._replay, self._task)
+        self._wire()
+
+    def spin(self) -> None:
+        """Replay, refit and answer until ROS is shut down."""
+        for finding in self._trace.findings:
+            self._node.get_logger().warning(finding)
+        self._replay.start()
+        super().spin()
+
+    # --- wiring ---
+
+    def _wire(self) -> None:
+        interface = Interface(self._node, topics.IDENTIFICATION)
+        self._voltage = interface.publisher("~/coil_voltage")
+        self._measured = interface.publisher("~/measured/joint_states")
+        self._measured_coil = interface.publisher("~/measured/coil")
+        self._predicted_coil = interface.publisher("~/predicted/coil")
+        self._predicted = interface.publisher("~/predicted/joint_states")
+        self._residual = interface.publisher("~/residual")
+        self._result = interface.publisher("~/result")
+        self._messages = ReadingMessages("")
+        self._publish_diagnostics(interface, self._statuses)
+        # A callback group of its own: while it waits for the valve, the reply needs the other group.
+        interface.serve("~/undo", self._undo, MutuallyExclusiveCallbackGroup())
+
+    # --- the replay's thread ---
+
+    def prepare(self) -> None:
+        """Simulate the declared valve, and log what is about to be played."""
+        self._prediction = predict(self._trace, self._declared, 0.0, "declared")
+        self._say_ready()
+        self._task.start()
+
+    def _say_ready(self) -> None:
+        own = self._settings
+        what = f"refits {', '.join(freed(own, self._declared))}" if own.mode == "identify" else "diagnoses it"
+        topic = (self._measured if self._trace.has_positions else self._measured_coil).topic_name
+        self._node.get_logger().info(
+            f"ready: replays {own.bag} on {topic} beside the model, {what}; the result comes on "
+            f"{self._result.topic_name} and in {self._folder.resolve()}"
+        )
+
+    def command(self, index: int) -> None:
+        """Publish one command of the recording."""
+        self._voltage.publish(Float64(data=float(self._trace.drive.volts[index])))
+
+    def sample(self, index: int) -> None:
+        """Publish one sample of the recording, the prediction, and the residual."""
+        assert self._prediction is not None
+        measured, predicted = measured_reading(self._trace, index), self._prediction.reading(index)
+        stamp = self._trace.epoch_ns + round(measured.time * 1e9)
+        self._predicted.publish(self._messages.joint_states(stamp, predicted))
+        if self._trace.has_positions:
+            self._measured.publish(self._messages.joint_states(stamp, measured))
+            self._residual.publish(Float64(data=measured.pilot_position - predicted.pilot_position))
+            return
+        volts = float(self._voltages[index])
+        self._measured_coil.publish(self._messages.coil(stamp, measured.coil_current, volts))
+        self._predicted_coil.publish(self._messages.coil(stamp, predicted.coil_current, volts))
+        self._residual.publish(Float64(data=measured.coil_current - predicted.coil_current))
+
+    def fail(self, error: Exception) -> None:
+        """End the node because the replay failed."""
+        self._fail(error)
+
+    # --- the task's thread ---
+
+    def _work(self, progress: Progress) -> str:
+        outcome = fit_or_diagnose(self._trace, self._declared, self._settings, self._folder, progress)
+        self._prediction = predict(self._trace, outcome.valve, outcome.clock_offset, self._settings.mode)
+        applied = None if self._remote is None else self._apply(outcome, self._remote)
+        text = report_text(outcome, applied)
+        if applied is not None and not applied.is_set:
+            # Before the result is published, upon which somebody may end this node.
+            self._exit_code = 1
+            self._refusal = f"{outcome.summary}; but apply_to: {applied.node} is as it was: {applied.reason}"
+            self._node.get_logger().error(self._refusal)
+            self._result.publish(String(data=text))
+            raise ParameterError(self._refusal)
+        self._result.publish(String(data=text))
+        return f"{outcome.summary}; see {outcome.files}"
+
+    def _report(self, words: str, is_good: bool) -> None:
+        if not is_good:
+            self._exit_code = 1
+        if self._node.context.ok():
+            logger = self._node.get_logger()
+            if words != self._refusal:
+                (logger.info if is_good else logger.error)(words)
+            self.end()
+
+    def end(self) -> None:
+        """Called at the end of the replay and of the task; the second call ends the node."""
+        is_done = self._replay.is_done and self._task.is_done
+        if is_done and not self._settings.linger and self._node.context.ok():
+            self._result.wait_for_all_acked(_DELIVERY)
+            self._node.context.try_shutdown()
+
+    def _apply(self, outcome: Outcome, remote: RemoteParameters) -> Applied:
+        """Set the whole valve, effects that are off and tolerances too, at once or not at all; keep what it had."""
+        logger = self._node.get_logger()
+        if outcome.objection and not self._settings.apply_always:
+            return Applied(remote.name, False, f"{outcome.objection}; apply_always:=true sets it all the same")
+        new = valve_parameters(outcome.valve)
+        try:
+            old = remote.values(list(new))
+            write_sections(self._folder / BEFORE_FILE, [Section(remote.name, old)])
+            remote.set(new)
+        except ParameterError as error:
+            return Applied(remote.name, False, str(error))
+        changes = changes_between(old, new, outcome.intervals)
+        self._before = {name: old[name] for name, value in new.items() if old[name] != value}
+        if outcome.objection:
+            logger.warning(f"{remote.name} is given the result although {outcome.objection} (apply_always)")
+        lines = tuple(change.text() for change in changes)
+        for line in lines:
+            logger.info(f"{remote.name}: {line}")
+        logger.info(
+            f"undo: `ros2 param load {remote.name} {(self._folder / BEFORE_FILE).resolve()}`, or, while this node "
+            f"runs (linger:=true), its service ~/undo"
+        )
+        return Applied(remote.name, True, changes=lines)
+
+    # --- callbacks, in the main thread ---
+
+    async def _undo(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Set the valve's former values; a thread waits for the reply, which this one must be free to receive."""
+        taken_back: Future = Future()
+
+        def take_back() -> None:
+            taken_back.set_result(self._take_back())
+            if self._node.executor is not None:
+                self._node.executor.wake()
+
+        threading.Thread(target=take_back, name="undo", daemon=True).start()
+        response.success, response.message = await taken_back
+        return response
+
+    def _take_back(self) -> tuple[bool, str]:
+        if self._remote is None or not self._before:
+            return False, "nothing was set that could be taken back"
+        try:
+            self._remote.set(self._before)
+        except ParameterError as error:
+            return False, str(error)
+        words = f"{self._remote.name} has its own values again: {', '.join(self._before)}"
+        self._node.get_logger().info(words)
+        self._before = {}
+        return True, words
+
+    def _statuses(self) -> Sequence[Status]:
+        model = "none yet" if self._prediction is None else self._prediction.model
+        return replay_status(self._replay, self._now(), model), self._task.status
+
+
+def valve_parameters(valve: Valve) -> Values:
+    """Every parameter of valve_node that describes its valve, with the values of this one."""
+    return {name: entry.default for name, entry in valve_table(valve).items()}
+
+
+def _output_folder(settings: IdentificationSettings) -> Path:
+    """The folder of the results; it is made if missing.
+
+    Raises:
+        ParameterError: it cannot be made.
+    """
+    folder = Path(settings.output).expanduser()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ParameterError(f"output: {folder}: cannot be made ({error.strerror}); expected a folder") from error
+    return folder
+
+
+class Change(NamedTuple):
+    """One parameter that is set to another value.
+
+    Attributes:
+        name: flat, as the valve node has it. old, new: in `unit`.
+        interval: 95 %, of the new value; None where it was not fitted.
+    """
+
+    name: str
+    old: Any
+    new: Any
+    interval: tuple[float, float] | None
+    unit: str
+
+    def text(self) -> str:
+        """One line for the log."""
+        if self.interval is None:
+            return f"{self.name}: {_short(self.old)} → {_short(self.new)} {self.unit}".rstrip()
+        low, high = self.interval
+        digits = _digits(self.new, high - low)
+        return (
+            f"{self.name}: {_short(self.old)} → {_short(self.new, digits)} {self.unit}, 95 % interval "
+            f"{_short(low, digits)} to {_short(high, digits)}"
+        )
+
+
+class RemoteParameters:
+    """Parameters of a running valve node. The methods block, so they must not be called by the spinning thread.
+
+    Args:
+        node: makes the requests; another thread spins it.
+        name: full name of the valve node.
+    """
+
+    def __init__(self, node: Node, name: str) -> None:
+        self.name = name
+        self._client = AsyncParameterClient(node, name)
+
+    def values(self, names: Sequence[str]) -> Values:
+        """The present values of these parameters.
+
+        Raises:
+            ParameterError: no such node, no answer, or it lacks one of them.
+        """
+        answer = self._ask(lambda callback: self._client.get_parameters(list(names), callback))
+        found = dict(zip(names, map(parameter_value_to_python, answer.values), strict=False))
+        missing = [name for name in names if found.get(name) is None]
+        if missing:
+            raise ParameterError(f"{self.name} has no parameter {missing[0]}; expected a valve_node of this release")
+        return {name: value if isinstance(value, float | str) else list(value) for name, value in found.items()}
+
+    def set(self, values: Mapping[str, Any]) -> None:
+        """Set all of these, or none.
+
+        Raises:
+            ParameterError: no such node, no answer, or it refuses them; the message has its reason.
+        """
+        parameters = [Parameter(name, value=value) for name, value in values.items()]
+        # Setting the same values again changes nothing, so the first reply counts.
+        answer = self._ask(lambda callback: self._client.set_parameters_atomically(parameters, callback))
+        if not answer.result.successful:
+            raise ParameterError(f"{self.name} refuses them: {answer.result.reason}")
+
+    def _ask(self, question: Callable[[Callable[[Any], None]], object]) -> Any:
+        if not self._client.wait_for_services(timeout_sec=FIND_SECONDS):
+            raise ParameterError(f"{self.name}: no such node was found within {FIND_SECONDS:g} s")
+        answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        for _ in range(_REQUESTS):
+            question(answers.put)
+            with contextlib.suppress(queue.Empty):
+                return answers.get(timeout=ANSWER_SECONDS / _REQUESTS).result()
+        raise ParameterError(f"{self.name}: did not answer within {ANSWER_SECONDS:g} s")
+
+
+def changes_between(old: Mapping[str, Any], new: Mapping[str, Any], intervals: Mapping[str, Interval]) -> list[Change]:
+    """The changes from `old` to `new`, tolerances one by one.
+
+    Args:
+        old, new: flat names and values. intervals: by the names of a fit, such as pilot_damping or stiction.force.
+    """
+    before, after = _with_each_tolerance(old), _with_each_tolerance(new)
+    pairs = {name: (before.get(name, _EXACT), after.get(name, _EXACT)) for name in {**after, **before}}
+    return [
+        Change(name, was, becomes, _interval_of(name, intervals), _unit(name))
+        for name, (was, becomes) in pairs.items()
+        if was != becomes
+    ]
+
+
+def _with_each_tolerance(values: Mapping[str, Any]) -> Values:
+    """Values with a name for each tolerance, as in a parameter file, in place of one text of all."""
+    found = {name: value for name, value in values.items() if name != TOLERANCES}
+    return {**found, **dict(_flat(read_tolerances(values.get(TOLERANCES, ""), ""), TOLERANCES))}
+
+
+def _flat(found: Any, prefix: str) -> Iterator[tuple[str, Any]]:
+    if not isinstance(found, Mapping):
+        yield prefix, found
+        return
+    for name, value in found.items():
+        yield from _flat(value, f"{prefix}.{name}")
+
+
+def _interval_of(name: str, intervals: Mapping[str, Interval]) -> tuple[float, float] | None:
+    root, _, rest = name.partition(".")
+    found = None if root == "tolerances" else intervals.get(name if root == "gas" else rest)
+    return None if found is None else (found.low, found.high)
+
+
+def _unit(name: str) -> str:
+    root, _, rest = name.partition(".")
+    if root == "tolerances":
+        return _unit(rest if rest.startswith(("effects.", "gas.")) else f"valve.{rest}")
+    if root == "gas":
+        return GAS[rest].unit if rest in GAS else ""
+    if root == "valve":
+        return DECLARED[rest].unit if rest in DECLARED else ""
+    effect, _, parameter = rest.partition(".")
+    return next((rule.unit for rule in CATALOGUE[effect].parameters if rule.name == parameter), "")
+
+
+def _digits(value: float, width: float) -> int:
+    """Significant digits of a value such that the width of its interval shows two."""
+    if not 0.0 < width < math.inf or value == 0.0:
+        return _DIGITS
+    return max(_DIGITS, math.ceil(math.log10(abs(value) / width)) + 2)
+
+
+def _short(value: object, digits: int = _DIGITS) -> str:
+    if isinstance(value, list):
+        return f"[{', '.join(map(_short, value))}]"
+    if isinstance(value, float) and math.isinf(value):
+        return "infinity" if value > 0.0 else "-infinity"
+    return f"{value:.{digits}g}" if isinstance(value, float) else str(value)

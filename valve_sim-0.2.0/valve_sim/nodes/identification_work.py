@@ -1,0 +1,433 @@
+"""The work of identification_node, without ROS: a replay and a fit or a diagnosis, each in a thread.
+
+A recording is played by a clock beside the model's prediction at each sample, while it is fitted or diagnosed; then
+follow the files and the report.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valve_sim.files.parameter_files import save_valve
+from valve_sim.files.recording_map import load_map
+from valve_sim.identification.diagnosis.identify import Identification, identify
+from valve_sim.identification.estimation.declared_values import out_of_tolerance
+from valve_sim.identification.estimation.findings import leaves_more_than_noise
+from valve_sim.identification.estimation.intervals import Interval
+from valve_sim.identification.plants.valve import DAMPINGS, dampings_of
+from valve_sim.identification.plants.valve_sensors import response_to
+from valve_sim.identification.reporting.identification import identification_json
+from valve_sim.identification.reporting.units import measured
+from valve_sim.model import Phase, Reading, Response, Valve
+from valve_sim.model.errors import ValveError
+from valve_sim.nodes.diagnostics import Level, Status
+from valve_sim.nodes.realtime import LISTENERS_SECONDS, NANOSECONDS, ClockReading, PaceClock, TimingRecord, why_restart
+from valve_sim.nodes.settings import IdentificationSettings
+from valve_sim.nodes.threads import StoppableThread
+from valve_sim.traces import Trace, another_valve, left_out_finding, read_trace, refuse_doubtful_units
+
+LATE_SECONDS: Final = 0.01
+"""s: lateness of published samples, 99th percentile, beyond which there is a warning."""
+_UNKNOWN: Final = math.nan
+IDENTIFIED_FILE: Final = "identified.yaml"
+CORRECTED_FILE: Final = "corrected.yaml"
+BEFORE_FILE: Final = "before.yaml"
+_NAMED: Final = ("none", "effects")
+Progress = Callable[[str, float], None]
+
+
+class Prediction(NamedTuple):
+    """The readings of a simulated valve at a trace's samples.
+
+    Attributes:
+        response: by the model. model: its name, for people.
+    """
+
+    response: Response
+    model: str
+
+    def reading(self, index: int) -> Reading:
+        """The reading at one sample; the main plunger's force is not given (NaN)."""
+        shown, phase = self.response, Phase(int(self.response.phase[index]))
+        velocity = float(shown.pilot_velocity[index])
+        return Reading(
+            float(shown.time[index]),
+            float(shown.pilot_position[index]),
+            float(shown.main_position[index]),
+            velocity,
+            velocity if phase is Phase.MAIN else 0.0,
+            float(shown.coil_current[index]),
+            float(shown.attraction[index]),
+            _UNKNOWN,
+            phase,
+            (),
+        )
+
+
+class Timeline(NamedTuple):
+    """A trace in the order of its replay.
+
+    Attributes:
+        offsets: (k + n,) ns after the replay's start, ascending.
+        places: (k + n,) index of a sample, or −1 − index of a command.
+    """
+
+    offsets: NDArray[np.int64]
+    places: NDArray[np.int64]
+
+
+class Player(Protocol):
+    """Receives what is replayed; called from the replay's thread."""
+
+    def prepare(self) -> None:
+        """Called before the replay begins."""
+
+    def command(self, index: int) -> None:
+        """One command of the trace."""
+
+    def sample(self, index: int) -> None:
+        """One sample of the trace."""
+
+    def end(self) -> None:
+        """Called when all has been replayed."""
+
+    def fail(self, error: Exception) -> None:
+        """Called when the replay failed and has ended."""
+
+
+def predict(trace: Trace, valve: Valve, clock_offset: float, model: str) -> Prediction:
+    """Simulate a valve under the commands of a trace.
+
+    Args:
+        trace: commands and sample times.
+        valve: the model.
+        clock_offset: s by which samples are stamped late.
+        model: its name, for people.
+
+    Raises:
+        SimulationError: the valve cannot be simulated.
+    """
+    drive = trace.input(valve.parameters.release_voltage)
+    times = trace.sample_times - clock_offset
+    start = float(min(np.min(drive.times, initial=math.inf), np.min(times, initial=math.inf)))
+    return Prediction(response_to(valve, trace, drive, times, start, clock_offset), model)
+
+
+def measured_reading(trace: Trace, index: int) -> Reading:
+    """A sample as a reading; what was not measured is NaN."""
+    pilot = main = current = _UNKNOWN
+    if trace.has_positions:
+        pilot = float(trace.pilot_position[index])
+        main = _UNKNOWN if trace.main_position is None else float(trace.main_position[index])
+    elif trace.coil_current is not None:
+        current = float(trace.coil_current.values[index])
+    time = float(trace.sample_times[index])
+    return Reading(time, pilot, main, _UNKNOWN, _UNKNOWN, current, _UNKNOWN, _UNKNOWN, Phase.CLOSED, ())
+
+
+def measured_voltages(trace: Trace) -> NDArray[np.float64]:
+    """(n,) V at the coil's terminals at each sample; NaN where no voltage has its stamp."""
+    shown = np.full(len(trace.sample_times), _UNKNOWN)
+    if trace.coil_voltage is not None:
+        _, at, which = np.intersect1d(trace.sample_times, trace.coil_voltage.times, return_indices=True)
+        shown[at] = trace.coil_voltage.values[which]
+    return shown
+
+
+def timeline(trace: Trace, rate: float) -> Timeline:
+    """When each command and sample is due; a command precedes a sample of equal time. At rate 0, all at once."""
+    times = np.concatenate([trace.drive.times, trace.sample_times])
+    commands = len(trace.drive.times)
+    places = np.concatenate([-1 - np.arange(commands), np.arange(len(trace.sample_times))])
+    order = np.argsort(times, kind="stable")
+    elapsed = times[order] - times[order[0]]
+    offsets = np.rint(elapsed * (NANOSECONDS / rate)) if rate > 0.0 else np.zeros(len(elapsed))
+    return Timeline(offsets.astype(np.int64), places[order])
+
+
+class Replay(StoppableThread):
+    """A thread that replays a trace by absolute deadlines: nothing is left out, and lateness does not accumulate.
+
+    Args:
+        clock: is followed; after a jump of it the replay begins anew.
+        trace: what is played.
+        rate: seconds of the trace a second of the clock, 0 for as fast as possible.
+        loop: whether to begin anew at the end.
+        player: is told what is due, when all has been played, and what went wrong.
+    """
+
+    def __init__(self, clock: PaceClock, trace: Trace, *, rate: float, loop: bool, player: Player) -> None:
+        super().__init__("replay", self._replay, player.fail)
+        self.timing = TimingRecord()
+        self.passes = 0
+        self.played = 0
+        self.is_done = False
+        self._clock = clock
+        self._timeline = timeline(trace, rate)
+        self._rate = rate
+        self._loop = loop
+        self._player = player
+        span = float(trace.sample_times[-1] - trace.sample_times[0])
+        self.samples_a_second = rate * (len(trace.sample_times) - 1) / span if span > 0.0 else 0.0
+        self._period = NANOSECONDS / self.samples_a_second if self.samples_a_second > 0.0 else math.inf
+
+    @property
+    def samples(self) -> int:
+        """Commands and samples of one pass."""
+        return len(self._timeline.offsets)
+
+    def wake(self) -> None:
+        """Interrupt the wait for the next sample."""
+        self._clock.wake()
+
+    def _replay(self) -> None:
+        self._player.prepare()
+        self._stopping.wait(LISTENERS_SECONDS)
+        while not self.is_stopping:
+            is_whole = self._play()
+            self.passes += is_whole
+            if is_whole and not self._loop:
+                break
+        self.is_done = not self.is_stopping
+        if self.is_done:
+            self._player.end()
+
+    def _play(self) -> bool:
+        """Replay once; False if broken off because the clock jumped or the thread is to end."""
+        last, start, self.played = None, 0, 0
+        while self.played < self.samples:
+            reading = self._clock.read()
+            if self.is_stopping:
+                return False
+            if reading is None:
+                self._clock.sleep_until(0)
+                continue
+            if last is None:
+                start = reading.nanoseconds
+            elif why_restart(last, reading):
+                return False
+            last = reading
+            due = int(np.searchsorted(self._timeline.offsets, reading.nanoseconds - start, side="right"))
+            self._hand_out(due, start, reading)
+            if self.played < self.samples:
+                self._clock.sleep_until(start + int(self._timeline.offsets[self.played]))
+        return True
+
+    def _hand_out(self, until: int, start: int, reading: ClockReading) -> None:
+        """Hand out what is due; by simulated time, which moves by ticks, it is late by what the clock went on since."""
+        for index in range(self.played, until):
+            if self.is_stopping:
+                return
+            place = int(self._timeline.places[index])
+            if place < 0:
+                self._player.command(-1 - place)
+            else:
+                now = self._clock.read()
+                if now is not None:
+                    due = start + int(self._timeline.offsets[index])
+                    self.timing.note(
+                        now.nanoseconds - (reading.nanoseconds if reading.is_simulated else due), self._period
+                    )
+                self._player.sample(place)
+            self.played = index + 1
+
+
+def replay_status(replay: Replay, now: int, model: str) -> Status:
+    """Progress of the replay; `now` in ns of the clock that it follows."""
+    timing = replay.timing.look(now)
+    wanted = replay.samples_a_second
+    values = {
+        "model": model,
+        "passes": str(replay.passes),
+        "played": f"{replay.played} of {replay.samples}",
+        "rate wanted (Hz)": f"{wanted:g}" if wanted > 0.0 else "as fast as possible",
+        "rate reached (Hz)": "none" if math.isnan(timing.rate) else f"{timing.rate:.1f}",
+    }
+    if replay.is_done:
+        return Status("replay", Level.OK, "done", values)
+    if wanted > 0.0:
+        values["lateness p99 (ms)"] = "none" if math.isnan(timing.lateness) else f"{1e3 * timing.lateness:.3f}"
+        if timing.lateness > LATE_SECONDS:
+            message = f"samples are published up to {timing.lateness:.3f} s late; ask for a lower rate"
+            return Status("replay", Level.WARN, message, values)
+    return Status("replay", Level.OK, "playing" if replay.played else "about to begin", values)
+
+
+class Outcome(NamedTuple):
+    """The result of a fit or a diagnosis.
+
+    Attributes:
+        valve: the identified or corrected one. clock_offset: s by which the samples are stamped late.
+        report: content of identify.json or report.json. file: where the valve was written.
+        summary: one sentence for a person. intervals: by name of each fitted parameter.
+        objection: why the valve should not be handed on; empty where nothing speaks against it.
+        advice: the profile to record next; None where nothing is to be told apart.
+    """
+
+    valve: Valve
+    clock_offset: float
+    report: dict[str, Any]
+    file: Path
+    summary: str
+    intervals: Mapping[str, Interval]
+    objection: str
+    advice: Path | None = None
+
+    @property
+    def files(self) -> str:
+        """The files that were written, in words."""
+        return str(self.file) if self.advice is None else f"{self.file}, and {self.advice} for what to record next"
+
+
+class Applied(NamedTuple):
+    """Whether the result was set on the valve of `apply_to`.
+
+    Attributes:
+        node: the valve's name. is_set: whether it took the result over. reason: why not.
+        changes: one line for each parameter that has another value now.
+    """
+
+    node: str
+    is_set: bool
+    reason: str = ""
+    changes: tuple[str, ...] = ()
+
+
+class Cancelled(Exception):  # noqa: N818 -- not an error: the node ends
+    """The thread is to stop."""
+
+
+def read_recording(settings: IdentificationSettings, declared: Valve) -> Trace:
+    """The recording that is replayed and fitted.
+
+    Raises:
+        ValveError: it or its map cannot be used, or its numbers are of another unit.
+    """
+    recording_map = load_map(Path(settings.map).expanduser()) if settings.map else None
+    trace = read_trace(Path(settings.bag).expanduser(), settings.valve_name or None, recording_map)
+    refuse_doubtful_units(trace, declared.parameters)
+    further = (*left_out_finding(trace), *another_valve(trace, declared.parameters))
+    return replace(trace, findings=(*trace.findings, *further))
+
+
+def freed(settings: IdentificationSettings, declared: Valve) -> tuple[str, ...]:
+    """What is refitted: of what is so by default, what the valve uses."""
+    return dampings_of(declared) if settings.free == DAMPINGS else settings.free
+
+
+def fit_or_diagnose(
+    trace: Trace, declared: Valve, settings: IdentificationSettings, folder: Path, progress: Progress
+) -> Outcome:
+    """Refit or diagnose, and write the valve that was found, and what to record next, into `folder`.
+
+    Raises:
+        ValveError: the declared valve cannot be simulated, or the file cannot be written.
+    """
+    if settings.mode == "identify":
+        return _identified(identify([trace], declared, freed(settings, declared), progress), settings, folder)
+    return _diagnosed(trace, declared, settings, folder, progress)
+
+
+def _identified(result: Identification, settings: IdentificationSettings, folder: Path) -> Outcome:
+    plant = result.fit.problem.plant
+    values = [f"{name} {measured(found, plant.parameter(name).unit)}" for name, found in result.intervals.items()]
+    summary = f"identified: {', '.join(values)}"
+    file = folder / IDENTIFIED_FILE
+    save_valve(file, result.valve, _provenance(settings, summary))
+    offset = result.fit.values["clock_offset[0]"]
+    report, objection = identification_json(result), _objection_to(result)
+    return Outcome(result.valve, offset, report, file, summary, result.intervals, objection)
+
+
+def _objection_to(result: Identification) -> str:
+    if not result.fit.converged:
+        return "the fit did not converge"
+    if leaves_more_than_noise(result.fit):
+        return "the residual is not white, so the model lacks something (mode:=diagnose may name it)"
+    if off := out_of_tolerance(result.declared):
+        return (
+            f"{', '.join(off)} would be more than three tolerances off, so the model lacks something "
+            "(mode:=diagnose may name it)"
+        )
+    bound = next((name for name in result.fit.free if result.fit.on_bound(name) is not None), "")
+    return f"{bound} sits on the bound of its range" if bound else ""
+
+
+def _diagnosed(
+    trace: Trace, declared: Valve, settings: IdentificationSettings, folder: Path, progress: Progress
+) -> Outcome:
+    # Imported where it is needed: it takes half a second.
+    from valve_sim.identification.diagnosis.run import diagnose
+    from valve_sim.identification.diagnosis.trust import objection_to, what_is_left
+    from valve_sim.identification.estimation.budget import Budget
+    from valve_sim.identification.reporting.diagnosis_json import to_json
+    from valve_sim.identification.reporting.recording_profile import write_record_next
+    from valve_sim.identification.reporting.summary import summarise
+
+    result = diagnose([trace], [], declared, progress, Budget.of_seconds(settings.budget))
+    file = folder / CORRECTED_FILE
+    summary, report = summarise(result), to_json(result)
+    if result.verdict.kind == "effects" and (left := what_is_left(result)):
+        summary += f" Beside it {left}."
+    provenance = _provenance(settings, summary)
+    save_valve(file, result.valve, provenance)
+    advice = write_record_next(folder, result, provenance)
+    offset = result.after.fit.values.get("clock_offset[0]", 0.0)
+    kind = result.verdict.kind
+    objection = objection_to(result) if kind in _NAMED else f"the verdict is {kind!r}"
+    return Outcome(result.valve, offset, report, file, summary, result.after.intervals, objection, advice)
+
+
+def _provenance(settings: IdentificationSettings, summary: str) -> str:
+    declared = settings.params or "the shipped valve"
+    return f"by identification_node from {settings.bag}, starting from {declared}\n{summary}"
+
+
+def report_text(outcome: Outcome, applied: Applied | None) -> str:
+    """The report as JSON, with the outcome of `apply_to`."""
+    handed_on = None if applied is None else applied._asdict()
+    return json.dumps({**outcome.report, "file": str(outcome.file), "applied": handed_on}, ensure_ascii=False)
+
+
+class Task(StoppableThread):
+    """A thread that does the work; its progress can be read at any time. It ends at its next report of progress.
+
+    Args:
+        work: the work; reports its progress and returns one sentence for a person.
+        end: called with that sentence, or with why there is none; is_good says which.
+
+    Attributes:
+        is_done: whether there is a result, or a reason why there is none. status: its progress.
+    """
+
+    def __init__(self, work: Callable[[Progress], str], end: Callable[[str, bool], None]) -> None:
+        super().__init__(
+            "identification",
+            lambda: self._finish(work(self._say), Level.OK),
+            lambda error: self._finish(str(error) if isinstance(error, ValveError) else repr(error), Level.ERROR),
+        )
+        self._end = end
+        self.is_done = False
+        self.status = Status("identification", Level.OK, "about to begin", _values("", 0.0))
+
+    def _say(self, what: str, fraction: float) -> None:
+        if self.is_stopping:
+            raise Cancelled
+        self.status = Status("identification", Level.OK, what, _values(what, fraction))
+
+    def _finish(self, words: str, level: Level) -> None:
+        self.status = Status("identification", level, words, _values("done", 1.0))
+        self.is_done = True
+        self._end(words, level is Level.OK)
+
+
+def _values(what: str, fraction: float) -> dict[str, str]:
+    return {"doing": what, "progress (%)": f"{100.0 * fraction:.0f}"}

@@ -1,0 +1,329 @@
+"""The node `monitor`: segmenter, monitor and fault isolation wired to topics. No physics, no decisions.
+
+Threads: callbacks run in the main thread, and only store. One thread empties the inbox, where each sample is a step of
+the model, some tens of microseconds; one scores strokes, another isolates the fault after an alarm; the live path waits
+for neither.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import json
+import math
+from collections.abc import Sequence
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Final
+
+from std_msgs.msg import Float64, String
+from std_srvs.srv import Trigger
+
+from valve_sim.files.parameter_sections import Section
+from valve_sim.identification.monitoring.findings import Occasion, Prediction, StrokeRecord
+from valve_sim.identification.monitoring.memory import load_commissioning, save_commissioning
+from valve_sim.identification.monitoring.scores import Baseline
+from valve_sim.identification.monitoring.segmenter import StrokeSegmenter
+from valve_sim.identification.monitoring.stroke_monitor import StrokeMonitor, StrokeReport
+from valve_sim.identification.reporting.monitoring import stroke_json
+from valve_sim.identification.reporting.monitoring_words import told_finding
+from valve_sim.model import ParameterError, Stepper
+from valve_sim.nodes import topics
+from valve_sim.nodes.diagnostics import Level, Status
+from valve_sim.nodes.live_map import live_inputs
+from valve_sim.nodes.messages import ReadingMessages, diagnostic_array
+from valve_sim.nodes.monitor_inputs import MonitorInputs, Takers
+from valve_sim.nodes.monitor_work import (
+    FaultIsolation,
+    Found,
+    HealthLog,
+    InputCount,
+    MonitorThread,
+    finding_status,
+    health_status,
+    isolation_status,
+    model_status,
+    stroke_status,
+)
+from valve_sim.nodes.parameters import settings_of
+from valve_sim.nodes.realtime import LONGEST_LEAP_SECONDS, NANOSECONDS, SubscriberCounts
+from valve_sim.nodes.settings import MONITORS_FORMER_NAMES, MonitorNodeSettings, monitor_table, monitor_values
+from valve_sim.nodes.spinning import guarded
+from valve_sim.nodes.threads import Repeating
+from valve_sim.nodes.valve_parameters import valve_of
+from valve_sim.nodes.wiring import Interface, RosNode, declared, full_name
+from valve_sim.traces import Trace
+from valve_sim.traces.trouble import MOST_STROKES
+
+_PAUSE: Final = 40e-3
+"""s between deliveries: to wake up for a sample costs more than the model's step, and what is done once for each of
+them costs as much as ten samples. What a stroke shows is known when it has ended."""
+_PAUSE_IF_HEARD: Final = 10e-3
+"""s, where each sample's prediction is heard: at 1 kHz no more at a time than the ten that a subscriber queues."""
+_JUMP_SECONDS: Final = 1.0
+"""A stamp that goes back by more means a clock that was set or a bag that restarted, not a sample out of order."""
+
+
+class MonitorNode(RosNode):
+    """The node `monitor`, with the topics and services `topics.MONITOR`.
+
+    It hears the commands of a valve and the measured positions beside them; a current, where one comes, tells a change
+    of the coil from one of the magnetic circuit. Where no position comes, or `measured` is that of the coil, the valve
+    is watched by its current alone. Of a valve with gas it also hears the pressures around it; without them, the
+    model's own and the declared ones count. Parameters: `settings.monitor_table`; they are read once, at the start.
+
+    Args:
+        sections: (file, section) of the parameter files on the command line.
+
+    Raises:
+        ValveError: a parameter is unknown, of the wrong type or out of range, or the state file or the calibration
+            record cannot be used.
+    """
+
+    def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
+        super().__init__("monitor")
+        values = declared(self._node, sections, monitor_table(), monitor_values, MONITORS_FORMER_NAMES)
+        self._settings = settings_of(MonitorNodeSettings, values)
+        self._declared = valve_of(values, self._node.get_fully_qualified_name())
+        settings, valve = self._settings.monitor, self._declared
+        self._valve = full_name(self._node, self._settings.valve_node, "valve_node")
+        measured = full_name(self._node, f"{self._valve}/{self._settings.measured}", "measured")
+        entries = live_inputs(self._settings.map, self._valve) if self._settings.map else {}
+        self._state = Path(self._settings.state).expanduser() if self._settings.state else None
+        self._kept = None if self._state is None else load_commissioning(self._state, valve)
+        self._calibration = self._watched_calibration(self._settings.calibration, valve)
+        self._input = InputCount()
+        take = Takers(self._command, self._sample, self._coil, self._pressure, self._end_pressure, self._input.reject)
+        has_gas = valve.gas is not None
+        self._inputs = MonitorInputs(self._node, self._clock, self._valve, measured, entries, take, has_gas=has_gas)
+        self._epoch: int | None = None
+        self._last_stamp: int | None = None
+        self._next_message = 0
+        self._segmenter = StrokeSegmenter(valve, settings)
+        if self._inputs.by_current:
+            self._segmenter.go_by_current()
+        self._is_by_current = self._segmenter.by_current
+        self._stroke_monitor = StrokeMonitor(valve, settings)
+        if self._kept is not None:
+            self._stroke_monitor.use(self._kept)
+        self._isolation = FaultIsolation(self._tell)
+        self._health = HealthLog(self._valve)
+        self._last_report: StrokeReport | None = None
+        self._baseline: Baseline | None = None
+        self._is_ready = self._is_heard = False
+        self._monitor_thread = MonitorThread(
+            self._stroke_monitor, prepare=self._prepare, report=self._report, isolate=self._isolate,
+            forget=self._forget, fail=self._fail,
+        )  # fmt: skip
+        self._delivery = Repeating(
+            "delivery", self._deliver, lambda: _PAUSE_IF_HEARD if self._is_heard else _PAUSE, self._fail
+        )
+        # Neither the comparison of a stroke nor a search for a fault can end at once.
+        self._threads += (self._delivery, self._monitor_thread, self._isolation)
+        self._wire()
+
+    def spin(self) -> None:
+        """Monitor until ROS is shut down."""
+        self._monitor_thread.start()
+        self._delivery.start()
+        super().spin()
+
+    # --- wiring ---
+
+    def _wire(self) -> None:
+        interface = Interface(self._node, topics.MONITOR)
+        self._predicted = interface.publisher("~/predicted/joint_states")
+        self._residual = interface.publisher("~/residual")
+        self._subscribers = SubscriberCounts(
+            self._predicted.get_subscription_count, self._residual.get_subscription_count
+        )
+        self._stroke_diagnostics = interface.publisher("~/stroke_diagnostics")
+        self._stroke_report = interface.publisher("~/stroke_report")
+        self._finding = interface.publisher("~/finding")
+        self._messages = ReadingMessages(self._settings.frame_id)
+        interface.serve("~/recommission", guarded(self._recommission))
+        self._publish_diagnostics(interface, self._statuses)
+
+    # --- what is heard, in the thread that empties the inbox ---
+
+    def _deliver(self) -> None:
+        inbox = self._inputs.inbox
+        if self._is_ready:
+            inbox.deliver()
+        else:
+            inbox.store_waiting()
+
+    def _pressure(self, stamp: int, pressure: float) -> None:
+        self._segmenter.line.hear(self._seconds(stamp), pressure)
+
+    def _end_pressure(self, name: str, stamp: int, pressure: float) -> None:
+        self._segmenter.line.hear_end(name, self._seconds(stamp), pressure)
+
+    def _command(self, stamp: int, volts: float) -> None:
+        rejected = self._segmenter.rejected
+        self._segmenter.command(self._seconds(stamp), volts)
+        if self._segmenter.rejected > rejected:
+            self._input.reject(f"{self._inputs.voltage}: {volts:g} V")
+        else:
+            self._input.commands += 1
+        self._hand_over()
+
+    def _sample(self, stamp: int, position: float, received: int) -> None:
+        largest = MOST_STROKES * self._declared.parameters.stroke
+        if abs(position) > largest:
+            words = f"{self._inputs.measured}: {position:g} m, expected metres, at most {largest:g} m; the map's unit:"
+            self._input.reject(words)
+            return
+        self._watch_for_jumps(stamp)
+        prediction = self._segmenter.measure(self._seconds(stamp), position, self._arrival(received))
+        self._follow(stamp, prediction, f"{position:g} m")
+
+    def _coil(self, stamp: int, current: float, voltage: float, received: int) -> None:
+        if self._segmenter.by_current:
+            self._watch_for_jumps(stamp)
+        prediction = self._segmenter.measure_current(self._seconds(stamp), current, voltage, self._arrival(received))
+        if self._segmenter.by_current:
+            self._follow(stamp, prediction, f"{current:g} A")
+
+    def _arrival(self, received: int) -> float:
+        return self._seconds(received) if received else math.nan
+
+    def _watch_for_jumps(self, stamp: int) -> None:
+        """Begin anew where the clock was set, or a bag starts again."""
+        moved = (stamp - self._last_stamp) / NANOSECONDS if self._last_stamp is not None else 0.0
+        if moved < -_JUMP_SECONDS or moved > LONGEST_LEAP_SECONDS:
+            words = f"the stamps jumped by {moved:g} s: the valve is taken to be at rest"
+            self._node.get_logger().warning(words, throttle_duration_sec=1.0)
+            self._segmenter.reset()
+            self._epoch, self._last_stamp, self._next_message = stamp, stamp - 1, 0
+
+    def _follow(self, stamp: int, prediction: Prediction | None, sample: str) -> None:
+        """After a sample: publish what was predicted, and hand strokes over that it has ended."""
+        if self._segmenter.by_current is not self._is_by_current:
+            self._is_by_current = self._segmenter.by_current
+            words = (
+                "goes by the coil's current alone: no position comes" if self._is_by_current else "goes by positions"
+            )
+            self._node.get_logger().warning(words)
+        if prediction is None:
+            self._input.reject(f"{self._inputs.measured}: {sample} at {stamp} ns, the last at {self._last_stamp} ns")
+            return
+        self._last_stamp = stamp
+        self._input.samples += 1
+        self._publish(stamp, prediction)
+        self._hand_over()
+
+    def _publish(self, stamp: int, prediction: Prediction) -> None:
+        """Publish prediction and residual, at most at max_rate and only if there are subscribers."""
+        if stamp < self._next_message:
+            return
+        self._next_message = max(self._next_message, stamp) + round(0.9 * NANOSECONDS / self._settings.max_rate)
+        hears_predicted, hears_residual = self._subscribers.look(stamp)
+        self._is_heard = hears_predicted or hears_residual
+        if hears_predicted:
+            self._predicted.publish(self._messages.joint_states(stamp, prediction.reading))
+        if hears_residual:
+            self._residual.publish(Float64(data=prediction.residual))
+
+    def _hand_over(self) -> None:
+        for record in self._segmenter.take_finished():
+            stamp = (self._epoch or 0) + round(record.time * NANOSECONDS)
+            self._monitor_thread.post(record._replace(stamp=stamp))
+        scatter = self._stroke_monitor.command_scatter
+        self._segmenter.scatter = scatter if math.isfinite(scatter) else 0.0
+        baseline = self._stroke_monitor.baseline
+        if baseline is not self._baseline and baseline is not None:
+            self._segmenter.use(baseline.valve, baseline.lateness)
+            self._baseline = baseline
+
+    def _seconds(self, stamp: int) -> float:
+        """Seconds since the first stamp, so that a double resolves nanoseconds."""
+        if self._epoch is None:
+            self._epoch = stamp
+        return (stamp - self._epoch) / NANOSECONDS
+
+    def _recommission(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._monitor_thread.recommission()
+        response.success = True
+        response.message = f"the next {self._settings.commissioning_strokes} strokes are taken as the new baseline"
+        return response
+
+    def _statuses(self) -> Sequence[Status]:
+        waiting_for = "" if self._is_ready else "the model to be compiled"
+        if self._is_ready and self._clock.read() is None:
+            waiting_for = "/clock (use_sim_time is true)"
+        elif self._is_ready and not self._input.samples:
+            waiting_for = f"samples on {self._inputs.wanted}"
+        elif self._is_ready and not self._input.commands:
+            waiting_for = f"a command on {self._inputs.voltage}"
+        unheard = self._inputs.incompatible_publishers()
+        wanted = self._settings.commissioning_strokes
+        return (
+            health_status(self._segmenter.fault, self._stroke_monitor, self._last_report, wanted, self._isolation),
+            model_status(self._stroke_monitor),
+            self._input.status(self._clock.elapsed(), self._monitor_thread.lost, waiting_for, unheard),
+            isolation_status(self._isolation),
+            *([self._calibration.status(datetime.now(timezone.utc))] if self._calibration else []),
+        )
+
+    # --- the monitor's thread, and that of fault isolation ---
+
+    def _prepare(self) -> None:
+        """Load or compile the model before the first sample is processed."""
+        stepper = Stepper(self._segmenter.valve)
+        stepper.command(1e-3, self._segmenter.valve.parameters.reference_voltage)
+        stepper.advance(20e-3)
+        gc.freeze()
+        self._is_ready = True
+        self._node.get_logger().info(
+            f"ready: hears {self._inputs.voltage} and {self._inputs.measured}, reports each stroke on "
+            f"{self._stroke_report.topic_name} and what has changed on {self._finding.topic_name}"
+        )
+
+    def _report(self, report: StrokeReport) -> None:
+        self._last_report = report
+        self._stroke_report.publish(String(data=json.dumps(stroke_json(report, self._valve), ensure_ascii=False)))
+        name = self._node.get_fully_qualified_name()
+        self._stroke_diagnostics.publish(diagnostic_array([stroke_status(report)], name, report.record.stamp))
+        self._keep()
+        if change := self._health.look(report, self._stroke_monitor):
+            self._log(*change)
+
+    def _keep(self) -> None:
+        """Write the state file once commissioning is complete."""
+        commissioning = self._stroke_monitor.commissioning
+        if commissioning is None or commissioning is self._kept or self._state is None:
+            return
+        self._kept = commissioning
+        try:
+            save_commissioning(self._state, commissioning, self._declared)
+        except ParameterError as error:
+            self._node.get_logger().error(f"commissioned, but not kept: {error}")
+        else:
+            self._node.get_logger().info(f"commissioned; kept in {self._state}")
+
+    def _forget(self) -> None:
+        self._isolation.forget()
+        self._kept = None
+        if self._state is not None:
+            with contextlib.suppress(OSError):
+                self._state.unlink(missing_ok=True)
+
+    def _log(self, level: Level, words: str) -> None:
+        # rclpy allows only one severity for each line of code that logs.
+        if level is Level.ERROR:
+            self._node.get_logger().error(words)
+        elif level is Level.WARN:
+            self._node.get_logger().warning(words)
+        else:
+            self._node.get_logger().info(words)
+
+    def _isolate(self, strokes: list[Trace], baseline: Baseline, last: StrokeRecord) -> None:
+        self._isolation.begin(strokes, baseline, Occasion(self._valve, last.number, last.stamp))
+
+    def _tell(self, found: Found, is_new: bool) -> None:
+        """Say a finding on the topic and in the log, as /diagnostics has it; what was said is not logged again."""
+        name = self._node.get_fully_qualified_name()
+        self._finding.publish(diagnostic_array([finding_status(found)], name, found.occasion.stamp))
+        if is_new:
+            self._node.get_logger().warning(told_finding(*found))

@@ -1,0 +1,444 @@
+"""The monitor's work beside the live path, without ROS, and what it says of that on /diagnostics.
+
+One thread scores strokes, one isolates faults; the statuses tell of the valve, its model, the input, fault isolation,
+and each stroke.
+"""
+
+from __future__ import annotations
+
+import math
+import queue
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, Final, NamedTuple
+
+from valve_sim.identification.estimation.parallel import threads_limited_to
+from valve_sim.identification.monitoring.fault_isolation import FaultFinding, isolate_fault
+from valve_sim.identification.monitoring.findings import Fault, Occasion, StrokeRecord, StrokeState
+from valve_sim.identification.monitoring.scores import Baseline
+from valve_sim.identification.monitoring.stroke_monitor import StrokeMonitor, StrokeReport
+from valve_sim.identification.reporting.monitoring import finding_json
+from valve_sim.identification.reporting.monitoring_words import (
+    TIMING_UNCERTAIN,
+    fault_words,
+    occasion_words,
+    remark_words,
+    state_words,
+    told_finding,
+)
+from valve_sim.model.errors import ValveError
+from valve_sim.nodes.diagnostics import Level, Status, unheard_words
+from valve_sim.nodes.threads import Fail, StoppableThread
+from valve_sim.traces import Trace
+
+MOST_WAITING: Final = 100
+"""Queued strokes; further ones are dropped and counted."""
+SILENT_SECONDS: Final = 2.0
+"""Time without samples after which the input is a warning."""
+
+
+class MonitorThread(StoppableThread):
+    """A thread that compares strokes with the baseline, in order.
+
+    Args:
+        monitor: does it; belongs to this thread.
+        prepare: called first, in the thread.
+        report: called with each report.
+        isolate: called with the strokes of an alarm, the baseline, and the last of the strokes as it was cut out, when
+            it is time to isolate its fault.
+        forget: called when the baseline has been discarded, because `recommission` was called.
+        fail: told what went wrong.
+    """
+
+    def __init__(
+        self,
+        monitor: StrokeMonitor,
+        *,
+        prepare: Callable[[], None],
+        report: Callable[[StrokeReport], None],
+        isolate: Callable[[list[Trace], Baseline, StrokeRecord], None],
+        forget: Callable[[], None],
+        fail: Fail,
+    ) -> None:
+        super().__init__("monitor", self._compare, fail)
+        self.lost = 0
+        self._stroke_monitor = monitor
+        self._prepare = prepare
+        self._report = report
+        self._isolate = isolate
+        self._forget = forget
+        self._anew = threading.Event()
+        self._waiting: queue.Queue[StrokeRecord | None] = queue.Queue(MOST_WAITING)
+
+    def post(self, record: StrokeRecord) -> None:
+        """Queue a stroke; never waits."""
+        try:
+            self._waiting.put_nowait(record)
+        except queue.Full:
+            self.lost += 1
+
+    def recommission(self) -> None:
+        """Take the strokes that follow as the new baseline; never waits."""
+        self._anew.set()
+        self.wake()
+
+    def wake(self) -> None:
+        """Wake the thread."""
+        try:
+            self._waiting.put_nowait(None)
+        except queue.Full:
+            return
+
+    def _compare(self) -> None:
+        self._prepare()
+        while not self.is_stopping:
+            record = self._waiting.get()
+            if self._anew.is_set():
+                self._anew.clear()
+                self._stroke_monitor.recommission()
+                self._forget()
+            if record is not None and not self.is_stopping:
+                self._take(record)
+
+    def _take(self, record: StrokeRecord) -> None:
+        self._report(self._stroke_monitor.assess(record))
+        if evidence := self._stroke_monitor.take_evidence():
+            self._isolate(evidence, self._stroke_monitor.with_present_scatter(), record)
+
+
+class Found(NamedTuple):
+    """A finding, and the last of the strokes that it rests on."""
+
+    finding: FaultFinding
+    occasion: Occasion
+
+    @property
+    def claim(self) -> tuple[str, frozenset[str]]:
+        """The claim: the kind of the verdict, and its names."""
+        return self.finding.verdict.kind, frozenset(self.finding.verdict.effects)
+
+
+class _Work(NamedTuple):
+    """A fault that is to be isolated."""
+
+    strokes: list[Trace]
+    baseline: Baseline
+    occasion: Occasion
+
+
+class FaultIsolation:
+    """Isolates one fault at a time, each in a thread of its own; of requests meanwhile only the latest is kept.
+
+    The search looks at each report of its progress whether it is still wanted. It may be long until the next one: a
+    node that is to end does not wait for it.
+
+    Args:
+        tell: called in the thread with each finding, and with whether it names something else than the one before.
+
+    Attributes:
+        found: the last finding. doing: what is being tried; empty while nothing is. failure: why there was no result.
+    """
+
+    def __init__(self, tell: Callable[[Found, bool], None]) -> None:
+        self.found: Found | None = None
+        self.doing = ""
+        self.failure = ""
+        self._tell = tell
+        self._next: _Work | None = None
+        self._thread: threading.Thread | None = None
+        self._lock = threading.Lock()
+        self._is_wanted = threading.Event()
+        self._is_stopping = False
+
+    def begin(self, strokes: list[Trace], baseline: Baseline, occasion: Occasion) -> None:
+        """Isolate the fault in these strokes, now or after the run in progress; `occasion` is that of the last."""
+        with self._lock:
+            self._next = _Work(strokes, baseline, occasion)
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._run, name="fault isolation", daemon=True)
+                self._thread.start()
+
+    def forget(self) -> None:
+        """Discard what was found, and what a search that is going on will find."""
+        with self._lock:
+            self._is_wanted.clear()
+            self._next, self.found, self.failure = None, None, ""
+
+    def stop(self, timeout: float) -> bool:
+        """Cancel at the next report of progress; whether it has ended within `timeout`, s."""
+        self._is_stopping = True
+        self._is_wanted.clear()
+        thread = self._thread
+        if thread is not None:
+            thread.join(timeout)
+        return thread is None or not thread.is_alive()
+
+    def _run(self) -> None:
+        while (work := self._take()) is not None:
+            try:
+                # The other processors are for the live path, and for the nodes of other valves.
+                with threads_limited_to(1):
+                    finding = isolate_fault(work.strokes, work.baseline, self._say)
+            except _Cancelled:
+                continue
+            except (ValveError, ArithmeticError, ValueError) as error:
+                self._conclude(None, f"the fault could not be isolated: {error}")
+            else:
+                self._conclude(Found(finding, work.occasion), "")
+
+    def _conclude(self, found: Found | None, failure: str) -> None:
+        with self._lock:
+            if not self._is_wanted.is_set():
+                return
+            before = self.found
+            self.found, self.failure = found or before, failure
+        if found is not None:
+            self._tell(found, before is None or found.claim != before.claim)
+
+    def _take(self) -> _Work | None:
+        with self._lock:
+            work, self._next = self._next, None
+            if work is None or self._is_stopping:
+                self._thread, self.doing = None, ""
+                return None
+            self._is_wanted.set()
+            return work
+
+    def _say(self, what: str, fraction: float) -> None:
+        if not self._is_wanted.is_set():
+            raise _Cancelled
+        self.doing = f"{what} ({100.0 * fraction:.0f} %)"
+
+
+class _Cancelled(Exception):  # noqa: N818 -- not an error: the node ends
+    """What is being isolated is no longer wanted."""
+
+
+def health_status(
+    fault: Fault | None, monitor: StrokeMonitor, last: StrokeReport | None, wanted: int, isolation: FaultIsolation
+) -> Status:
+    """Whether the valve is as commissioned: ERROR where it does not open or close, WARN where it has changed."""
+    found, alarm = isolation.found, monitor.alarm
+    cause = "" if found is None else told_finding(*found)
+    values = {
+        "strokes": "0" if last is None else str(last.record.number + 1),
+        "alarms": str(monitor.alarms),
+        "state": state_words(_state(monitor)),
+        "scatter of commands (ms)": _number(1e3 * monitor.command_scatter),
+        "highest sum": "none" if last is None or math.isnan(last.sum) else f"{last.sum:.2f} ({last.cause})",
+        "threshold": "none" if last is None or math.isnan(last.threshold) else f"{last.threshold:.2f}",
+        **({"residual (µm)": "none"} if last is None else _texts(_errors(last, "residual"))),
+        "cause": cause,
+    }
+    if fault is None and last is not None and not last.has_positions:
+        fault = last.record.fault
+    if fault is not None:
+        return Status("valve", Level.ERROR, fault_words(fault), values)
+    if alarm is not None:
+        changed = f"the strokes since number {alarm.began} are not those of the commissioned valve"
+        if found is None or found.occasion.stroke < alarm.began:
+            cause = f"most in the direction of {alarm.cause}"
+        return Status("valve", Level.WARN, f"{changed}: {cause}", values)
+    if monitor.baseline is None:
+        return Status("valve", Level.OK, f"commissioning, {monitor.commissioned} of {wanted} strokes", values)
+    if monitor.is_timing_uncertain:
+        scatter = f"commands are obeyed {1e3 * monitor.command_scatter:.1f} ms sooner or later than they come in"
+        words = f"{TIMING_UNCERTAIN}: {scatter}; the shape of strokes is as commissioned"
+        return Status("valve", Level.OK, words, values)
+    return Status("valve", Level.OK, "as commissioned", values)
+
+
+def model_status(monitor: StrokeMonitor) -> Status:
+    """Whether the declared model explains the healthy valve."""
+    baseline = monitor.baseline
+    if baseline is None:
+        return Status("model", Level.OK, "not commissioned yet", {})
+    parameters = baseline.valve.parameters
+    values = {
+        "pilot_damping (N·s·m⁻¹)": f"{parameters.pilot_damping:.5g}",
+        "main_damping (N·s·m⁻¹)": f"{parameters.main_damping:.5g}",
+        **_texts({_with_unit("noise", baseline.has_positions): _scale(baseline.has_positions) * baseline.noise.sigma}),
+        "lateness (µs)": f"{1e6 * baseline.lateness:.1f}",
+        "scatter of commands (µs)": f"{1e6 * baseline.scatter:.1f}",
+    }
+    against = monitor.contradictions
+    if against:
+        words = f"the declared valve is not this one, even when healthy (see {', '.join(against[:3])}); `diagnose` it"
+        return Status("model", Level.WARN, words, values)
+    return Status("model", Level.OK, "explains the healthy valve", values)
+
+
+def isolation_status(isolation: FaultIsolation) -> Status:
+    """Progress of fault isolation."""
+    if isolation.failure:
+        return Status("fault isolation", Level.WARN, isolation.failure, {})
+    if isolation.doing:
+        return Status("fault isolation", Level.OK, "running", {"doing": isolation.doing})
+    return Status("fault isolation", Level.OK, "idle", {})
+
+
+def stroke_status(report: StrokeReport) -> Status:
+    """The figures of one stroke as numbers that can be plotted; nan for what is not known."""
+    damping = {f"{name} (N·s·m⁻¹)": interval.value for name, interval in report.damping.items()}
+    values = {
+        "stroke": report.record.number,
+        "opening delay (ms)": 1e3 * report.opening_delay,
+        "t1 (ms)": 1e3 * report.t1,
+        "t2 (ms)": 1e3 * report.t2,
+        "closing time (ms)": 1e3 * report.closing_time,
+        **{f"{name} error (ms)": 1e3 * s for name, s in zip(("t1", "t2", "closing time"), report.errors, strict=True)},
+        **_errors(report, "residual", "noise"),
+        "scatter of commands (ms)": 1e3 * report.command_scatter,
+        "highest sum": report.sum,
+        "threshold": report.threshold,
+        **damping,
+        **{f"score {name}": score for name, score in report.scores.items()},
+    }
+    level, words = _verdict_on(report)
+    return Status("stroke", level, words, {name: f"{value:.6g}" for name, value in values.items()})
+
+
+def finding_status(found: Found) -> Status:
+    """A finding as keys and values: the kind of its verdict, the effects and their sizes, and how sure all that is.
+
+    What is nested in JSON has its names joined by dots, such as "parameters.coulomb_friction.force.value".
+    """
+    told = finding_json(*found)
+    values = {name: value for name, value in told.items() if name not in ("schema", "summary")}
+    return Status("finding", Level.WARN, told["summary"], dict(_flat(values, "")))
+
+
+def _flat(found: Any, prefix: str) -> Iterator[tuple[str, str]]:
+    if isinstance(found, Mapping):
+        for name, value in found.items():
+            yield from _flat(value, f"{prefix}.{name}" if prefix else name)
+    elif isinstance(found, list):
+        yield prefix, ", ".join(map(str, found))
+    else:
+        yield prefix, "none" if found is None else str(found)
+
+
+def _verdict_on(report: StrokeReport) -> tuple[Level, str]:
+    """Level and message of one stroke."""
+    if report.record.fault is not None:
+        return Level.ERROR, fault_words(report.record.fault)
+    if report.alarm is not None:
+        return Level.WARN, "an alarm"
+    return Level.OK, state_words(report.state) if report.remark is None else remark_words(report.remark)
+
+
+def _state(monitor: StrokeMonitor) -> StrokeState:
+    if monitor.baseline is None:
+        return StrokeState.COMMISSIONING
+    return StrokeState.TIMING_UNCERTAIN if monitor.is_timing_uncertain else StrokeState.WATCHING
+
+
+def _errors(report: StrokeReport, *names: str) -> dict[str, float]:
+    """The residual, and the noise, of the position in µm, or of the current alone in mA."""
+    values = {"residual": report.rms, "noise": report.noise}
+    return {_with_unit(name, report.has_positions): _scale(report.has_positions) * values[name] for name in names}
+
+
+def _with_unit(name: str, has_positions: bool) -> str:
+    return f"{name} ({'µm' if has_positions else 'mA'})"
+
+
+def _scale(has_positions: bool) -> float:
+    return 1e6 if has_positions else 1e3
+
+
+def _texts(values: Mapping[str, float]) -> dict[str, str]:
+    return {name: _number(value) for name, value in values.items()}
+
+
+def _number(value: float) -> str:
+    return "none" if math.isnan(value) else f"{value:.3f}"
+
+
+class HealthLog:
+    """A line for the log whenever the state of the valve changes.
+
+    Args:
+        valve: full name of its node.
+    """
+
+    def __init__(self, valve: str) -> None:
+        self._valve = valve
+        self._state = ""
+
+    def look(self, report: StrokeReport, monitor: StrokeMonitor) -> tuple[Level, str] | None:
+        """Level and words after this stroke; None where nothing has changed."""
+        level, state, words = _health(report, monitor)
+        if state == self._state:
+            return None
+        self._state = state
+        occasion = Occasion(self._valve, report.record.number, report.record.stamp)
+        return level, f"{occasion_words(occasion)}, {report.volts:.1f} V: {words}"
+
+
+def _health(report: StrokeReport, monitor: StrokeMonitor) -> tuple[Level, str, str]:
+    """Level, name of the state, and message."""
+    if report.record.fault is not None:
+        return Level.ERROR, "fault", fault_words(report.record.fault)
+    alarm = monitor.alarm
+    if alarm is not None:
+        words = f"not as commissioned since stroke {alarm.began}, most in the direction of {alarm.cause}"
+        return Level.WARN, "alarm", words
+    if monitor.baseline is None:
+        return Level.OK, state_words(StrokeState.COMMISSIONING), "commissioning has begun"
+    if monitor.is_timing_uncertain:
+        words = f"commands scatter by {1e3 * monitor.command_scatter:.1f} ms; shapes are judged"
+        return Level.OK, TIMING_UNCERTAIN, f"{TIMING_UNCERTAIN}: {words}"
+    return Level.OK, state_words(StrokeState.WATCHING), "as commissioned"
+
+
+class InputCount:
+    """Counts samples, commands and what cannot be used, for /diagnostics."""
+
+    def __init__(self) -> None:
+        self.samples = 0
+        self.commands = 0
+        self.rejected = 0
+        self._why = ""
+        self._looked_at = math.nan
+        self._samples_before = 0
+        self._rejected_before = 0
+        self._last_sample = math.nan
+
+    def reject(self, why: str) -> None:
+        """Count one that cannot be used."""
+        self.rejected += 1
+        self._why = why
+
+    def status(self, now: float, lost: int, waiting_for: str, unheard: int = 0) -> Status:
+        """Whether samples and commands arrive and can be used; counts since the last call.
+
+        Args:
+            now: s of a monotonic clock. lost: strokes, in all, that were not judged for lack of time.
+            waiting_for: what is still missing, or empty. unheard: publishers of commands of incompatible QoS.
+        """
+        fresh, rejected_now = self.samples - self._samples_before, self.rejected - self._rejected_before
+        if fresh or math.isnan(self._last_sample):
+            self._last_sample = now if fresh else math.nan
+        rate = fresh / (now - self._looked_at) if now > self._looked_at else math.nan
+        self._looked_at, self._samples_before, self._rejected_before = now, self.samples, self.rejected
+        silence = now - self._last_sample
+        values = {
+            "samples": str(self.samples),
+            "commands": str(self.commands),
+            "rate (Hz)": "none" if math.isnan(rate) else f"{rate:.1f}",
+            "rejected": str(self.rejected),
+            "strokes not judged": str(lost),
+        }
+        if waiting_for:
+            words = [f"waiting for {waiting_for}"]
+            words += [f"{self.rejected} rejected, the last: {self._why}"] if self.rejected else []
+            words += [unheard_words(unheard)] if unheard else []
+            return Status("input", Level.WARN, "; ".join(words), values)
+        if rejected_now:
+            return Status("input", Level.WARN, f"{rejected_now} rejected, the last: {self._why}", values)
+        if silence > SILENT_SECONDS:
+            return Status("input", Level.WARN, f"no sample for {silence:.1f} s", values)
+        if unheard:
+            return Status("input", Level.WARN, unheard_words(unheard), values)
+        return Status("input", Level.OK, "arrives", values)

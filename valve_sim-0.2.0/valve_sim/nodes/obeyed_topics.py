@@ -1,0 +1,134 @@
+"""What valve_node obeys, the coil's voltage and with gas two pressures, and what it publishes of gas."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any, Final
+
+from rclpy.node import Node
+
+from valve_sim.model.gas import GAS
+from valve_sim.nodes import topics
+from valve_sim.nodes.diagnostics import RejectionCount, Status, pressure_status
+from valve_sim.nodes.live_valve import LiveValve, Step
+from valve_sim.nodes.messages import ReadingMessages
+from valve_sim.nodes.node_clock import NodeClock
+from valve_sim.nodes.realtime import Arrival, Decimator, SubscriberCounts
+from valve_sim.nodes.receiving import Inbox, Source
+from valve_sim.nodes.wiring import Interface
+
+BETWEEN_WARNINGS: Final = 5.0
+"""s between lines of the log about the same problem, which may occur a thousand times a second."""
+_RATE: Final = 100.0
+"""Hz of pressure and flow: slower than the plungers, and read by slower programs."""
+
+
+class ObeyedTopic:
+    """A topic each of whose numbers is obeyed from when it came, or else ignored, counted and warned of.
+
+    Args:
+        node: hears. clock: of it. receive: subscribes, and is handed what takes each message.
+        field: of a message, which holds the number. unit: of it.
+        obey: called with the time, ns of the clock, and the number; whether it is obeyed.
+        expected: what would have been obeyed, in words. what: it is, in a word.
+
+    Attributes:
+        count: of what was ignored. source: what is subscribed to.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        clock: NodeClock,
+        receive: Callable[[Callable[[Any, Arrival], None]], Source],
+        field: str,
+        unit: str,
+        obey: Callable[[int, float], bool],
+        expected: Callable[[], str],
+        what: str,
+    ) -> None:
+        self.count = RejectionCount()
+        self.source = receive(self._take)
+        self._node, self._clock, self._obey = node, clock, obey
+        self._field, self._unit, self._expected, self._what = field, unit, expected, what
+        self._warned_at = -math.inf
+
+    def _take(self, message: Any, arrival: Arrival) -> None:
+        value = getattr(message, self._field)
+        if self._obey(self._clock.time_of(arrival), value):
+            self.count.accept()
+            return
+        self.count.reject(value)
+        # ROS's own throttle counts by the place in the source, which several topics share.
+        now = self._clock.elapsed()
+        if now - self._warned_at >= BETWEEN_WARNINGS:
+            self._warned_at = now
+            self._node.get_logger().warning(
+                f"{self.source.topic}: {value:g} {self._unit} is ignored, expected {self._expected()}; the last good "
+                f"{self._what} stays"
+            )
+
+
+class GasTopics:
+    """The topics of a valve with gas.
+
+    Args:
+        node: publishes. inbox: receives. clock: of the node. live: obeys. messages: encodes.
+    """
+
+    def __init__(self, node: Node, inbox: Inbox, clock: NodeClock, live: LiveValve, messages: ReadingMessages) -> None:
+        self._live, self._messages = live, messages
+        interface = Interface(node, topics.GAS)
+
+        def obeyed(name: str, obey: Callable[[int, float], bool]) -> ObeyedTopic:
+            receive, rule = partial(interface.receive, inbox, f"~/{name}"), GAS[name]
+            expected = f"a number from {rule.lower:g} to {rule.upper:g} Pa"
+            return ObeyedTopic(node, clock, receive, "fluid_pressure", "Pa", obey, lambda: expected, "pressure")
+
+        self._inlet = obeyed("inlet_pressure", live.supply)
+        self._demand = obeyed("demand_pressure", live.set_demand_pressure)
+        self._outlet_pressure = interface.publisher("~/outlet_pressure")
+        self._mass_flow = interface.publisher("~/mass_flow")
+        self._obeyed = {
+            "inlet_pressure": interface.publisher("~/obeyed/inlet_pressure"),
+            "demand_pressure": interface.publisher("~/obeyed/demand_pressure"),
+        }
+        self._subscribers = SubscriberCounts(
+            self._outlet_pressure.get_subscription_count, self._mass_flow.get_subscription_count
+        )
+        self._samples = Decimator(_RATE)
+
+    def words(self) -> str:
+        """What is obeyed and published, with full names."""
+        return (
+            f"gas: obeys {self._inlet.source.topic} and {self._demand.source.topic} (Pa), publishes "
+            f"{self._outlet_pressure.topic_name} and {self._mass_flow.topic_name} at {_RATE:g} Hz"
+        )
+
+    def publish(self, deadline: int, step: Step) -> None:
+        """Publish the pressures obeyed since the last step, and this one if it is one of the slower samples.
+
+        In the stepping thread.
+        """
+        for name, stamp, pressure in step.obeyed:
+            self._obeyed[name].publish(self._messages.pressure(stamp, pressure))
+        if not self._samples.is_due(deadline) or math.isnan(step.reading.outlet_pressure):
+            return
+        hears_outlet_pressure, hears_mass_flow = self._subscribers.look(deadline)
+        if hears_outlet_pressure:
+            self._outlet_pressure.publish(self._messages.pressure(step.stamp, step.reading.outlet_pressure))
+        if hears_mass_flow:
+            self._mass_flow.publish(self._messages.mass_flow(step.reading))
+
+    def statuses(self) -> Iterator[Status]:
+        """For /diagnostics; none while the valve has no gas."""
+        live = self._live
+        if live.valve.gas is None:
+            return
+        for task, heard, pressure in (
+            ("inlet pressure", self._inlet, live.inlet_pressure),
+            ("demand pressure", self._demand, live.demand_pressure),
+        ):
+            yield pressure_status(task, pressure, heard.count, heard.source.incompatible_publishers)

@@ -1,0 +1,246 @@
+"""The one mechanism of the nodes' parameters, without ROS: a table's rows declare, check, describe and document them.
+
+A node's table is made of its settings, a named tuple of types and defaults, and of one row for each that says its unit,
+range and meaning. That of valve_node is in `valve_parameters`, those of the others in `settings` and in the station.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any, Final, NamedTuple, Protocol, TypeVar
+
+from valve_sim.files.parameter_files import check_with_off, off_value
+from valve_sim.files.parameter_sections import Section
+from valve_sim.model import Parameter, ParameterError
+from valve_sim.model.parameters import closest
+
+Value = Any
+"""Of a parameter: bool, int, float, str, or a list of floats or texts."""
+
+ROS_OWN: Final = ("use_sim_time", "start_type_description_service")
+ROS_OWN_PREFIX: Final = "qos_overrides."
+_TYPES: Final = {bool: "bool", int: "integer", float: "double", str: "string"}
+
+
+class Words(NamedTuple):
+    """The row of a parameter that is no number.
+
+    Attributes:
+        name, description: its own. choices: all that it may be; empty for any.
+        read_only: whether it is read once though others of its table can be set.
+    """
+
+    name: str
+    description: str
+    choices: tuple[str, ...] = ()
+    read_only: bool = False
+
+
+class NodeParameter(NamedTuple):
+    """One parameter of a node.
+
+    Attributes:
+        name: flat, dotted.
+        default: gives the type too: bool, int, float, text, or a list of floats or texts. Empty texts of a given list
+            count only where one is in the default.
+        meaning: in words. unit: of a number or of each in a list; empty for none.
+        rule: range of a number, or of each in a list; None for any.
+        choices: all that a text may be; empty for any.
+        read_only: whether it is read once, at the start.
+    """
+
+    name: str
+    default: Value
+    meaning: str
+    unit: str = ""
+    rule: Parameter | None = None
+    choices: tuple[str, ...] = ()
+    read_only: bool = True
+
+    @property
+    def description(self) -> str:
+        """Unit first."""
+        return f"[{self.unit}] {self.meaning}" if self.unit else self.meaning
+
+    @property
+    def choice_words(self) -> str:
+        """All that it may be, in words."""
+        return " or ".join(self.choices) if len(self.choices) == 2 else f"one of {', '.join(self.choices)}"
+
+    @property
+    def type(self) -> str:
+        """As `ros2 param describe` names it."""
+        if isinstance(self.default, Sequence) and not isinstance(self.default, str):
+            return f"{_TYPES[type(self.default[0])]} array"
+        return _TYPES[type(self.default)]
+
+    @property
+    def range(self) -> tuple[float, float] | None:
+        """Smallest and largest value that may be declared to ROS; None for none."""
+        rule = self.rule
+        if (
+            rule is None
+            or self.type not in ("double", "integer")
+            or (math.isinf(rule.lower) and math.isinf(rule.upper))
+        ):
+            return None
+        if self.type == "integer":
+            return rule.lower, rule.upper
+        upper = math.inf if rule.off == math.inf else rule.upper
+        return min(rule.lower, off_value(rule)), upper
+
+    def check(self, value: object, where: str) -> Value:
+        """The value in its own type; an integer may stand for a double.
+
+        Args:
+            value: what was given. where: the file and the name, for messages.
+
+        Raises:
+            ParameterError: wrong type, or out of range.
+        """
+        if self.type.endswith("array"):
+            return self._checked_list(value, where)
+        if self.type == "bool":
+            if not isinstance(value, bool):
+                raise ParameterError(f"{where}: found {value!r}, expected true or false")
+            return value
+        if self.type == "string":
+            if not isinstance(value, str):
+                raise ParameterError(f"{where}: found {value!r}, expected text")
+            if self.choices and value not in self.choices:
+                raise ParameterError(f"{where}: found {value!r}, expected {self.choice_words}")
+            return value
+        if self.type == "integer" and (isinstance(value, bool) or not isinstance(value, int)):
+            raise ParameterError(f"{where}: found {value!r}, expected a whole number")
+        return self._checked_number(value, where)
+
+    def _checked_number(self, value: object, where: str) -> float:
+        rule = self.rule or Parameter(self.name, self.unit, self.meaning)
+        return type(self.default if not isinstance(self.default, Sequence) else 0.0)(check_with_off(rule, value, where))
+
+    def _checked_list(self, value: object, where: str) -> list[Value]:
+        of_text = self.type.startswith("string")
+        if isinstance(value, str) or not isinstance(value, Collection):
+            kind = "names" if of_text else "numbers"
+            raise ParameterError(f"{where}: found {value!r}, expected a list of {kind}")
+        items = list(value)
+        if not of_text:
+            return [self._checked_number(item, f"{where}[{index}]") for index, item in enumerate(items)]
+        if not all(isinstance(item, str) for item in items):
+            raise ParameterError(f"{where}: found {value!r}, expected a list of names")
+        may_be_empty = "" in self.default
+        names = [name for item in items if (name := item.strip()) or may_be_empty]
+        if not names:
+            raise ParameterError(f"{where}: found {value!r}, expected at least one name")
+        return names
+
+
+class _Settings(Protocol):
+    """A named tuple of parameters, each with a default."""
+
+    _field_defaults: dict[str, Any]
+
+
+Table = Mapping[str, NodeParameter]
+S = TypeVar("S")
+
+
+def table_of(settings: type[_Settings], *rows: Parameter | Words, read_only: bool = True) -> dict[str, NodeParameter]:
+    """The table of a node's settings: each has one row.
+
+    Args:
+        settings: names, types and defaults. rows: units, ranges and meanings. read_only: whether all are read once.
+    """
+    words = {row.name: row for row in rows}
+    table = {}
+    for name, default in settings._field_defaults.items():
+        row = words.pop(name)
+        value = list(default) if isinstance(default, tuple) else default
+        if isinstance(row, Words):
+            is_fixed = read_only or row.read_only
+            table[name] = NodeParameter(name, value, row.description, choices=row.choices, read_only=is_fixed)
+        else:
+            table[name] = NodeParameter(name, value, row.description, row.unit, row, read_only=read_only)
+    if words:
+        raise ValueError(f"rows without a setting: {', '.join(words)}")
+    return table
+
+
+def settings_of(settings: type[S], values: Mapping[str, Value]) -> S:
+    """The settings among a node's values, lists as tuples."""
+    names: Sequence[str] = settings._fields  # type: ignore[attr-defined]
+    found = {name: values[name] for name in names}
+    return settings(**{name: tuple(value) if isinstance(value, list) else value for name, value in found.items()})
+
+
+def check_given(
+    given: Mapping[str, object],
+    table: Table,
+    sources: Mapping[str, str],
+    program: str,
+    defaults: Mapping[str, Value] | None = None,
+) -> dict[str, Value]:
+    """The values at the start: the defaults, replaced by what was given.
+
+    Args:
+        given: flat names and values; those of ROS itself are passed over.
+        table: the node's.
+        sources: name to the file where it was given; the command line where missing.
+        program: the node's, for messages.
+        defaults: in place of those of the table.
+
+    Raises:
+        ParameterError: unknown name, wrong type or out of range; one line.
+    """
+    values = {name: entry.default for name, entry in table.items()} if defaults is None else dict(defaults)
+    for name, value in given.items():
+        where = f"{sources.get(name, 'command line')}: {name}"
+        if name in table:
+            values[name] = table[name].check(value, where)
+        elif not is_of_ros(name):
+            raise ParameterError(
+                f"{where}: found {value!r} under an unknown name; expected a parameter of {program}, "
+                f"did you mean {closest(name, list(table))}?"
+            )
+    return values
+
+
+def is_of_ros(name: str) -> bool:
+    """Whether this parameter is ROS's own, which every node has."""
+    return name in ROS_OWN or name.startswith(ROS_OWN_PREFIX)
+
+
+def sources_of(sections: Sequence[tuple[str, Section]], node: str) -> dict[str, str]:
+    """Flat name to the file that gave it to this node; a later file wins, as in ROS.
+
+    Args:
+        sections: (file, section) in the order of the command line.
+        node: full name.
+    """
+    return {name: path for path, section in sections if section.applies_to(node) for name in section.values}
+
+
+def files_for_others(sections: Sequence[tuple[str, Section]], node: str) -> dict[str, list[str]]:
+    """Files without a section for this node, and the node names that they have."""
+    names: dict[str, list[str]] = {}
+    for path, section in sections:
+        names.setdefault(path, []).append(section.node)
+    used = {path for path, section in sections if section.applies_to(node)}
+    return {path: found for path, found in names.items() if path not in used}
+
+
+def changed_words(before: Mapping[str, Value], after: Mapping[str, Value]) -> str:
+    """The parameters that have another value, each with the old one and the new; empty where none has."""
+    return ", ".join(f"{name} {before[name]} → {value}" for name, value in after.items() if value != before[name])
+
+
+def as_declared(name: str, value: object, table: Table) -> object:
+    """An integer where the table has a double, and integers in its list, become doubles; all else is returned as is."""
+    kind = table[name].type if name in table else ""
+    if kind == "double" and type(value) is int:
+        return float(value)
+    if kind == "double array" and not isinstance(value, str) and isinstance(value, Collection):
+        items = list(value)
+        return [float(item) for item in items] if all(type(item) in (int, float) for item in items) else value
+    return value

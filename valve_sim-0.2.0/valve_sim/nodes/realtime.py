@@ -1,0 +1,437 @@
+"""Keeping pace with a clock, without ROS: deadlines that do not drift, a bounded backlog, and timing statistics.
+
+A ROS timer drops late ticks, so ticks are never counted here: the clock is read, and whatever has become due since is
+handed out, each with the time that it stands for.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections import Counter, deque
+from collections.abc import Callable, Container
+from typing import Any, Final, NamedTuple, Protocol
+
+from valve_sim.nodes.threads import Fail, StoppableThread
+
+NANOSECONDS: Final = 1_000_000_000
+LAST_STAMP: Final = 2**31 * NANOSECONDS - 1
+"""ns, in 2038: a stamp has 32 bits for seconds. At a thousand times real time a node reaches that in days."""
+LISTENERS_SECONDS: Final = 0.5
+"""s to wait for the discovery of subscribers, which takes up to a quarter of a second."""
+BACKLOG_SECONDS: Final = 0.5
+"""s: samples that are overdue for longer are dropped; the model is stepped over them nevertheless."""
+_BETWEEN_LOOKS: Final = 20_000_000
+"""ns between two looks at who subscribes: no longer than a new subscriber may take to be discovered."""
+_BETWEEN_QUESTIONS: Final = 5_000_000
+"""ns between two questions whether steps can be made again."""
+LONGEST_LEAP_SECONDS: Final = 60.0
+"""s: a clock that moves further between two readings has been set."""
+_LONGEST_LEAP: Final = round(LONGEST_LEAP_SECONDS * NANOSECONDS)
+
+
+class Schedule:
+    """Absolute deadlines start + k / rate, rounded to ns one by one, so that nothing accumulates.
+
+    Attributes:
+        next: clock time of the next deadline, ns.
+        backlog: ns for which a deadline may be overdue.
+
+    Args:
+        rate: deadlines a second of the clock, Hz.
+        start: clock time of the first, ns.
+        backlog: how much overdue time is made up for, s; at least one deadline always is.
+    """
+
+    def __init__(self, rate: float, start: int, backlog: float = BACKLOG_SECONDS) -> None:
+        self.next = start
+        self._rate = rate
+        self._start = start
+        self._index = 0
+        self._most = max(1, int(backlog * rate))
+        self.backlog = round(self._most * NANOSECONDS / rate)
+
+    def take(self) -> int:
+        """The next deadline, ns; each is handed out once."""
+        time = self.next
+        self._index += 1
+        self.next = self._start + round(self._index * NANOSECONDS / self._rate)
+        return time
+
+    def drop_overdue(self, now: int) -> int:
+        """Drop the deadlines that are overdue for longer than the backlog at `now`, ns; how many."""
+        end = int((now - self._start) * self._rate / NANOSECONDS) + 1
+        while self._at(end - 1) > now:
+            end -= 1
+        while self._at(end) <= now:
+            end += 1
+        lost = max(0, end - self._most - self._index)
+        self._index += lost
+        self.next = self._at(self._index)
+        return lost
+
+    def _at(self, index: int) -> int:
+        return self._start + round(index * NANOSECONDS / self._rate)
+
+
+class Timing(NamedTuple):
+    """Timing statistics since the last reading.
+
+    Attributes:
+        rate: steps a second of the clock that were made, Hz; nan without a second look.
+        lateness: 99th percentile of how late steps began, s; nan without steps.
+        overruns: steps, in all, that began more than a period late.
+        lost: steps, in all, that were given up.
+        lost_now: those of them since the last look.
+        steps_now, overruns_now: steps since the last look, and those of them that began more than a period late.
+    """
+
+    rate: float
+    lateness: float
+    overruns: int
+    lost: int
+    lost_now: int
+    steps_now: int = 0
+    overruns_now: int = 0
+
+
+class TimingRecord:
+    """Counters of the stepping thread, read by another once a second or so."""
+
+    def __init__(self) -> None:
+        self._late: list[int] = []
+        self._looked_at: int | None = None
+        self._overruns = 0
+        self._overruns_before = 0
+        self._lost = 0
+        self._lost_before = 0
+
+    def note(self, lateness: int, period: float) -> None:
+        """One step that began `lateness` ns after its deadline; the period is in ns."""
+        self._late.append(lateness)
+        if lateness > period:
+            self._overruns += 1
+
+    def note_lost(self, count: int) -> None:
+        """Count steps that were dropped."""
+        self._lost += count
+
+    def look(self, now: int) -> Timing:
+        """Statistics since the last reading; `now` in ns of the clock that the steps follow."""
+        late, self._late = sorted(self._late), []
+        elapsed = 0 if self._looked_at is None else now - self._looked_at
+        self._looked_at = now
+        lost_now, self._lost_before = self._lost - self._lost_before, self._lost
+        overruns = self._overruns
+        overruns_now, self._overruns_before = overruns - self._overruns_before, overruns
+        rate = len(late) * NANOSECONDS / elapsed if elapsed > 0 else math.nan
+        lateness = late[min(len(late) - 1, int(0.99 * len(late)))] / NANOSECONDS if late else math.nan
+        return Timing(rate, lateness, overruns, self._lost, lost_now, len(late), overruns_now)
+
+
+class ClockReading(NamedTuple):
+    """The time of a clock, ns, and whether it is simulated time."""
+
+    nanoseconds: int
+    is_simulated: bool
+
+
+class Arrival(NamedTuple):
+    """When a message came.
+
+    Attributes:
+        received: when the middleware received it, ns of the system's clock; 0 where it does not say.
+        reading: what the node's clock showed when this process took it; None before the first /clock.
+    """
+
+    received: int
+    reading: ClockReading | None
+
+
+class PaceClock(Protocol):
+    """The clock that a `Worker` follows."""
+
+    def read(self) -> ClockReading | None:
+        """The time; None before the first /clock message."""
+
+    def sleep_until(self, time: int) -> None:
+        """Return at this time of the clock, ns, or earlier."""
+
+    def wake(self) -> None:
+        """Make `sleep_until` return soon."""
+
+
+class Restart(NamedTuple):
+    """The clock can no longer be followed as before.
+
+    Attributes:
+        reading: what it shows now.
+        reason: why, in a few words; empty at the first start.
+    """
+
+    reading: ClockReading
+    reason: str
+
+
+class Worker(StoppableThread):
+    """A thread that steps something at a steady rate of a clock.
+
+    Args:
+        clock: is followed.
+        rate: steps a second of the clock, Hz; `set_rate` changes it.
+        prepare: called first, in the thread.
+        restart: called before the first step, and whenever the clock jumped or was exchanged.
+        step: called with each deadline, ns of the clock. fail: told what went wrong.
+        may_step: whether steps up to a time of the clock, ns, can be made; those that cannot wait, and are dropped if
+            they are overdue for longer than BACKLOG_SECONDS. Asked until `may_always_step`; default: always.
+    """
+
+    def __init__(
+        self,
+        clock: PaceClock,
+        rate: float,
+        *,
+        prepare: Callable[[], None],
+        restart: Callable[[Restart], None],
+        step: Callable[[int], None],
+        fail: Fail,
+        may_step: Callable[[int], bool] | None = None,
+    ) -> None:
+        super().__init__("valve stepper", self._follow, fail)
+        self.timing = TimingRecord()
+        self._clock = clock
+        self._rate = rate
+        self._prepare = prepare
+        self._restart = restart
+        self._step = step
+        self._may_step = may_step
+
+    def set_rate(self, rate: float) -> None:
+        """Set the rate of the steps, Hz."""
+        self._rate = rate
+        self.wake()
+
+    def may_always_step(self) -> None:
+        """From now on steps can always be made."""
+        self._may_step = None
+
+    def wake(self) -> None:
+        """Interrupt the wait for the next step."""
+        self._clock.wake()
+
+    def _follow(self) -> None:
+        self._prepare()
+        pace = _Pace(self._clock, self._restart)
+        while not self.is_stopping:
+            schedule, may_step = pace.look(self._rate), self._may_step
+            if schedule is None:
+                self._clock.sleep_until(0)
+            elif may_step is not None and not may_step(pace.now):
+                self._clock.sleep_until(pace.now + _BETWEEN_QUESTIONS)
+            else:
+                self._catch_up(schedule, pace.now, is_simulated=pace.is_simulated)
+                self._clock.sleep_until(schedule.next)
+
+    def _catch_up(self, schedule: Schedule, until: int, *, is_simulated: bool) -> None:
+        """Make the steps up to a time, ns, that has just been read off the clock.
+
+        Simulated time moves by whole ticks, so that a step can be made only once /clock has passed it: it is late by
+        what the clock goes on between that and the step, and the length of a tick says nothing about this machine.
+        """
+        if until - schedule.next > schedule.backlog:
+            self.timing.note_lost(schedule.drop_overdue(until))
+        now, period = until, NANOSECONDS / self._rate
+        while schedule.next <= until and not self.is_stopping:
+            time = schedule.take()
+            self.timing.note(now - (until if is_simulated else time), period)
+            self._step(time)
+            if schedule.next <= until and (reading := self._clock.read()):
+                now = reading.nanoseconds
+
+
+class _Pace:
+    """Watches the clock for jumps, and the rate for changes.
+
+    Attributes:
+        now, is_simulated: the last reading of the clock, ns.
+    """
+
+    def __init__(self, clock: PaceClock, restart: Callable[[Restart], None]) -> None:
+        self.now, self.is_simulated = 0, False
+        self._clock = clock
+        self._restart = restart
+        self._last: ClockReading | None = None
+        self._rate = math.nan
+        self._schedule: Schedule | None = None
+
+    def look(self, rate: float) -> Schedule | None:
+        """Read the clock; the present schedule, or None while the clock has no time yet."""
+        reading, last = self._clock.read(), self._last
+        if reading is None:
+            return None
+        self._last, (self.now, self.is_simulated) = reading, reading
+        if (
+            rate == self._rate
+            and last is not None
+            and reading.is_simulated == last.is_simulated
+            and 0 <= self.now - last.nanoseconds <= _LONGEST_LEAP
+        ):
+            return self._schedule  # as nearly always, without a call; `why_restart` would find the same
+        reason = why_restart(last, reading)
+        if reason is not None:
+            self._restart(Restart(reading, reason))
+            self._schedule = None
+        if self._schedule is None:
+            self._schedule = Schedule(rate, reading.nanoseconds)
+        elif rate != self._rate:
+            # Continue where the old rate would have: no deadline twice, none left out.
+            self._schedule = Schedule(rate, self._schedule.next)
+        self._rate = rate
+        return self._schedule
+
+
+def why_restart(last: ClockReading | None, now: ClockReading) -> str | None:
+    """Why the model must restart between these readings of a clock; None if it need not, empty at the first one."""
+    if last is None:
+        return ""
+    if now.is_simulated != last.is_simulated:
+        return "use_sim_time was changed"
+    moved = now.nanoseconds - last.nanoseconds
+    if 0 <= moved <= _LONGEST_LEAP:
+        return None
+    seconds = abs(moved) / NANOSECONDS
+    return f"the clock jumped back by {seconds:g} s" if moved < 0 else f"the clock jumped ahead by {seconds:g} s"
+
+
+class Decimator:
+    """Which steps are also samples of a slower topic: the first in each of its periods.
+
+    Args:
+        rate: of the slower topic, samples a second of the clock, Hz.
+    """
+
+    def __init__(self, rate: float) -> None:
+        self._period = round(NANOSECONDS / rate)
+        self._last: int | None = None
+
+    def is_due(self, clock: int) -> bool:
+        """Whether the step at clock time `clock`, ns, is one; to be asked once for each step."""
+        before, self._last = self._last, clock // self._period
+        return self._last != before
+
+
+class SubscriberCounts:
+    """Which of some topics anyone subscribes to, looked at every 20 ms: what nobody hears need not be published.
+
+    Args:
+        counts: how many subscriptions there are, for each topic.
+    """
+
+    def __init__(self, *counts: Callable[[], int]) -> None:
+        self._counts = counts
+        self._look_again_at = -math.inf
+        self._looked_at = math.inf
+        self._is_heard: tuple[bool, ...] = ()
+
+    def look(self, clock: int) -> tuple[bool, ...]:
+        """Of each topic, at the last look; `clock`, ns, is the time of the clock by which looks are apart."""
+        if not self._looked_at <= clock < self._look_again_at:
+            self._looked_at, self._look_again_at = clock, clock + _BETWEEN_LOOKS
+            self._is_heard = tuple(count() > 0 for count in self._counts)
+        return self._is_heard
+
+
+class _Request(NamedTuple):
+    """An action for a clock time, ns, with the value that it is called with."""
+
+    time: int
+    kind: str
+    action: Callable[[int, Any], None]
+    value: Any
+
+
+class TimedQueue:
+    """Requests between threads: any thread posts actions, the stepping thread calls those whose time has come.
+
+    It cannot grow without bound, whether the clock stands still or the stepping thread does. Of one time it holds at
+    most one request of each kind, because a value that would hold for no time need not be kept. Beyond `MOST` requests
+    the oldest that a later one of its kind replaces is dropped: what holds in the end is as without the bound.
+
+    Attributes:
+        is_empty: whether there is no request.
+    """
+
+    MOST: Final = 10_000
+
+    def __init__(self) -> None:
+        self.is_empty = True
+        self._requests: deque[_Request] = deque()
+        self._lock = threading.Lock()
+
+    def __len__(self) -> int:
+        """How many requests wait."""
+        return len(self._requests)
+
+    def post(
+        self,
+        time: int,
+        kind: str,
+        action: Callable[[int, Any], None],
+        value: Any = None,
+        *,
+        voids: Container[str] = (),
+        merge: Callable[[Any, Any], Any] | None = None,
+    ) -> None:
+        """Store an action for clock time `time`, ns; it will be called with that time and the value.
+
+        Args:
+            time: ns; behind requests of the same time, and before those of later times.
+            kind: a request of this kind that waits for the same time is dropped.
+            action, value: what is called, and with what beside the time.
+            voids: other kinds of which requests that wait for the same time are dropped.
+            merge: makes one value of that of a dropped request of this kind and of the new one; default: the new one.
+        """
+        with self._lock:
+            later, kept = deque[_Request](), deque[_Request]()
+            while self._requests and self._requests[-1].time > time:
+                later.appendleft(self._requests.pop())
+            while self._requests and self._requests[-1].time == time:
+                request = self._requests.pop()
+                if request.kind == kind:
+                    value = value if merge is None else merge(request.value, value)
+                elif request.kind not in voids:
+                    kept.appendleft(request)
+            self._requests += kept
+            self._requests.append(_Request(time, kind, action, value))
+            self._requests += later
+            if len(self._requests) > self.MOST:
+                self._drop_one_that_is_replaced()
+            self.is_empty = False
+
+    def deliver(self, since: int, until: int) -> None:
+        """Call every action whose time is not after `until`, ns, in the order of time, none as of before `since`."""
+        while self._requests and (request := self._take(until)) is not None:
+            request.action(max(request.time, since), request.value)
+
+    def is_due(self, until: int) -> bool:
+        """Whether an action's time is not after `until`, ns."""
+        with self._lock:
+            return bool(self._requests) and self._requests[0].time <= until
+
+    def clear(self) -> None:
+        """Drop all actions."""
+        with self._lock:
+            self._requests.clear()
+            self.is_empty = True
+
+    def _drop_one_that_is_replaced(self) -> None:
+        """Drop the oldest request that has a later one of its kind; there is one, as there are few kinds."""
+        left = Counter(request.kind for request in self._requests)
+        index = next(index for index, request in enumerate(self._requests) if left[request.kind] > 1)
+        del self._requests[index]
+
+    def _take(self, until: int) -> _Request | None:
+        with self._lock:
+            request = self._requests.popleft() if self._requests and self._requests[0].time <= until else None
+            self.is_empty = not self._requests
+            return request

@@ -1,0 +1,351 @@
+"""The node `valve`: parameters, topics and services wired to a `LiveValve`. No physics, no decisions.
+
+Threads: callbacks run in the main thread, and only store (parameters, resets, and what an `Inbox` receives). One
+`Worker` thread empties the inbox, steps the valve and publishes; it consumes what was stored, each at its own time.
+Until the loading thread has the model ready, it publishes that the valve rests, and from a request on it waits.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Iterator, Sequence
+from datetime import datetime, timezone
+from functools import partial
+
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.parameter import Parameter
+from std_srvs.srv import Trigger
+
+from valve_sim.files.parameter_files import default_valve
+from valve_sim.files.parameter_sections import Section
+from valve_sim.model import ParameterError, Phase, Valve, can_open
+from valve_sim.nodes import topics
+from valve_sim.nodes.diagnostics import Level, Reminder, Status, command_status, timing_status, valve_status
+from valve_sim.nodes.live_valve import LiveValve, Step, self_test
+from valve_sim.nodes.messages import IS_OPEN, PHASE, ReadingMessages
+from valve_sim.nodes.obeyed_topics import BETWEEN_WARNINGS, GasTopics, ObeyedTopic
+from valve_sim.nodes.parameters import Value, as_declared, changed_words, settings_of
+from valve_sim.nodes.realtime import NANOSECONDS, Restart, SubscriberCounts, Worker
+from valve_sim.nodes.receiving import Inbox
+from valve_sim.nodes.spinning import guarded
+from valve_sim.nodes.threads import StoppableThread, load_stepper
+from valve_sim.nodes.valve_parameters import (
+    TOLERANCES,
+    VALVE_KEYS,
+    Settings,
+    check_with_valve,
+    table,
+    valve_of,
+    with_tolerances,
+)
+from valve_sim.nodes.wiring import DuplicateNodes, Interface, RosNode, declared
+
+
+class ValveNode(RosNode):
+    """The node `valve`, with the topics and services `topics.VALVE`, and `topics.GAS` from when gas is declared.
+
+    Parameters: the table of `valve_parameters`; all but `calibration` can be set at run time.
+
+    Args:
+        sections: (file, section) of the parameter files on the command line.
+
+    Raises:
+        ParameterError: a parameter is unknown, of the wrong type or out of range.
+    """
+
+    def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
+        super().__init__("valve")
+        self._table = table(default_valve())
+        self._settings = self._declare(sections)
+        self._live = LiveValve(
+            self._current_valve(),
+            scale=self._settings.time_scale,
+            command_timeout=self._settings.command_timeout,
+            max_voltage=self._settings.max_voltage,
+        )
+        self._calibration = self._watched_calibration(self._settings.calibration, self._live.valve)
+        self._inbox = Inbox(self._node, self._clock)
+        self._gas: GasTopics | None = None
+        self._duplicates = DuplicateNodes(self._node)
+        self._failure = ""
+        self._is_ready = False
+        self._was_waiting = True
+        self._said_open: bool | None = None
+        self._messages = ReadingMessages(self._settings.frame_id)
+        self._wire()
+        self._worker = Worker(
+            self._clock,
+            self._settings.publish_rate,
+            prepare=self._wait_unless_at_rest,
+            restart=self._restart,
+            step=self._step,
+            fail=self._fail,
+            may_step=self._may_step,
+        )
+        self._loader = StoppableThread("model loader", self._load, self._fail)  # which cannot end while it compiles
+        self._threads += (self._worker, self._loader)
+
+    def spin(self) -> None:
+        """Run until ROS is shut down."""
+        self._loader.start()
+        self._worker.start()
+        super().spin()
+
+    # --- wiring ---
+
+    def _declare(self, sections: Sequence[tuple[str, Section]]) -> Settings:
+        values = declared(
+            self._node,
+            sections,
+            self._table,
+            lambda given, sources: check_with_valve(given, self._table, sources, "valve_node"),
+        )
+        self._told = self._values()
+        self._node.add_pre_set_parameters_callback(guarded(self._complete))
+        self._node.add_on_set_parameters_callback(guarded(self._validate))
+        self._node.add_post_set_parameters_callback(guarded(self._apply))
+        return settings_of(Settings, values)
+
+    def _wire(self) -> None:
+        interface = Interface(self._node, topics.VALVE)
+        self._joint_states = interface.publisher("~/joint_states")
+        self._coil = interface.publisher("~/coil")
+        self._coil_current = interface.publisher("~/coil_current")
+        sampled = (self._joint_states, self._coil, self._coil_current)
+        self._subscribers = SubscriberCounts(*(publisher.get_subscription_count for publisher in sampled))
+        self._phase = interface.publisher("~/phase")
+        self._is_open = interface.publisher("~/is_open")
+        self._voltage = ObeyedTopic(
+            self._node, self._clock, partial(interface.receive, self._inbox, "~/coil_voltage"), "data", "V",
+            self._live.command, self._expected_voltage, "command",
+        )  # fmt: skip
+        if self._live.valve.gas is not None:
+            self._gas = self._wire_gas()
+        interface.serve("~/reset", guarded(self._reset))
+        interface.serve("~/self_test", guarded(self._self_test))
+        self._too_busy = Reminder()
+        self._publish_diagnostics(interface, self._statuses)
+
+    def _wire_gas(self) -> GasTopics:
+        return GasTopics(self._node, self._inbox, self._clock, self._live, self._messages)
+
+    # --- the loading thread ---
+
+    def _load(self) -> None:
+        valve = self._live.valve
+        load_stepper(valve)
+        self._warn_if_it_cannot_open(valve)
+        self._is_ready = True
+        self._worker.may_always_step()
+        if self._node.context.ok():
+            self._say_ready()
+
+    def _say_ready(self) -> None:
+        """Log that the node is ready, with the full names of its topics."""
+        waits = "; waits for /clock, as use_sim_time is true" if self._clock.read() is None else ""
+        limit, rate = self._settings.max_voltage, self._settings.publish_rate
+        gas = "" if self._gas is None else f"; {self._gas.words()}"
+        self._node.get_logger().info(
+            f"ready: obeys {self._voltage.source.topic} (V, ±{limit:g} at most), publishes "
+            f"{self._joint_states.topic_name}, {self._coil.topic_name} and {self._coil_current.topic_name} "
+            f"at {rate:g} Hz, "
+            f"{self._phase.topic_name} and {self._is_open.topic_name} on change{gas}{waits}"
+        )
+
+    # --- the stepping thread ---
+
+    def _wait_unless_at_rest(self) -> None:
+        if not self._live.can_rest:
+            self._loader.join()
+
+    def _may_step(self, until: int) -> bool:
+        self._inbox.deliver()
+        return self._live.rests_until(until)
+
+    def _restart(self, restart: Restart) -> None:
+        self._clock.was_set()
+        if restart.reason:
+            self._inbox.forget()
+            self._node.get_logger().warning(f"{restart.reason}: the valve rests closed, and no command holds any more")
+        self._live.restart(restart.reading.nanoseconds, self._clock.stamp_at(restart.reading))
+
+    def _follow_system_clock(self) -> None:
+        """Have stamps follow the system's clock where that was set; elapsed time, and the valve, go on."""
+        shift = 0 if self._clock.is_simulated else self._clock.was_set()
+        if shift:
+            self._live.shift_stamps(shift)
+            self._node.get_logger().warning(
+                f"the system's clock was set by {shift / NANOSECONDS:+.6f} s: stamps follow it, the valve goes on"
+            )
+
+    def _step(self, deadline: int) -> None:
+        live, gas = self._live, self._gas
+        self._follow_system_clock()
+        self._inbox.deliver()
+        step = live.step(deadline) if self._is_ready else live.step_at_rest(deadline)
+        self._publish_sample(deadline, step)
+        if gas is not None:
+            gas.publish(deadline, step)
+        if step.phases:
+            self._publish_phases(step)
+        if step.switched_off:
+            self._say_switched_off(step.switched_off)
+        if step.failure:
+            self._failure = step.failure
+            # A valve that fails at every step would fill the disk with a thousand lines a second.
+            self._node.get_logger().error(f"the valve was put back to rest: {step.failure}", throttle_duration_sec=1.0)
+
+    def _say_switched_off(self, why: str) -> None:
+        words = f"the coil was switched off: {why}"
+        if self._live.timed_out:
+            # A commander that is always later than command_timeout would fill the disk.
+            self._node.get_logger().warning(words, throttle_duration_sec=BETWEEN_WARNINGS)
+        else:
+            self._node.get_logger().warning(words)
+
+    def _publish_sample(self, deadline: int, step: Step) -> None:
+        shown = step.reading
+        hears_joint_states, hears_coil, hears_coil_current = self._subscribers.look(deadline)
+        if hears_joint_states:
+            self._joint_states.publish(self._messages.joint_states(step.stamp, shown))
+        if hears_coil:
+            for stamp, coil in step.switches:
+                self._coil.publish(self._messages.coil(stamp, coil.current, coil.voltage))
+            self._coil.publish(self._messages.coil(step.stamp, shown.coil_current, shown.coil_voltage))
+        if hears_coil_current:
+            self._coil_current.publish(self._messages.coil_current(shown))
+
+    def _publish_phases(self, step: Step) -> None:
+        for phase in step.phases:
+            self._phase.publish(PHASE[phase])
+            if (is_open := phase is Phase.OPEN) is not self._said_open:
+                self._said_open = is_open
+                self._is_open.publish(IS_OPEN[phase])
+
+    def _expected_voltage(self) -> str:
+        return f"a number within ±{self._settings.max_voltage:g} V (parameter max_voltage)"
+
+    # --- callbacks, in the main thread ---
+
+    def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._inbox.deliver()  # what came before it
+        self._live.reset(self._now())
+        self._voltage.count.accept()
+        self._failure = ""
+        self._node.get_logger().info("reset: the valve rests closed, without current")
+        response.success = True
+        response.message = "the valve rests closed, without current; the last command no longer holds"
+        return response
+
+    def _self_test(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if not self._is_ready:
+            response.success, response.message = False, "the model is still being compiled; ask again in some seconds"
+            return response
+        response.success, response.message = self_test(self._live.valve)
+        return response
+
+    def _statuses(self) -> Iterator[Status]:
+        now = self._now()
+        waiting_for = "" if self._is_ready else "the model to be compiled"
+        if self._is_ready and self._clock.read() is None:
+            waiting_for = "/clock (use_sim_time is true)"
+        live = self._live
+        kept = self._worker.timing.look(now)
+        if self._was_waiting:
+            kept = kept._replace(rate=math.nan)  # of a second during part of which it did not step
+        self._was_waiting = bool(waiting_for)
+        timing = timing_status(kept, self._settings.publish_rate, waiting_for)
+        if self._is_ready and timing.level is Level.WARN:
+            line = self._too_busy.line(self._clock.elapsed(), timing.message)
+            if line:
+                self._node.get_logger().warning(line)
+        yield timing
+        heard = self._voltage
+        yield command_status(live, now, heard.count, heard.source.incompatible_publishers)
+        yield valve_status(live, self._failure, self._duplicates.look())
+        if self._gas is not None:
+            yield from self._gas.statuses()
+        if self._calibration is not None:
+            yield self._calibration.status(datetime.now(timezone.utc))
+
+    # --- parameters ---
+
+    def _complete(self, parameters: list[Parameter]) -> list[Parameter]:
+        """Turn integers into doubles, and put names below `tolerances` into that parameter."""
+        if any(parameter.type_ is Parameter.Type.NOT_SET for parameter in parameters):
+            return parameters  # which `_validate` refuses
+        own = [p for p in parameters if p.name in self._table or p.name.startswith(f"{TOLERANCES}.")]
+        given = {parameter.name: as_declared(parameter.name, parameter.value, self._table) for parameter in own}
+        with contextlib.suppress(ParameterError):  # which `_validate` reports
+            given = with_tolerances(given, self._values())
+        others = [parameter for parameter in parameters if parameter not in own]
+        return [*others, *(Parameter(name, value=value) for name, value in given.items())]
+
+    def _validate(self, parameters: list[Parameter]) -> SetParametersResult:
+        name = self._node.get_fully_qualified_name()
+        try:
+            changes = self._checked(parameters, name)
+            valve_of({**self._values(), **changes}, name)
+        except ParameterError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _apply(self, parameters: list[Parameter]) -> None:
+        """Apply parameters that ROS has checked and stored."""
+        names = {parameter.name for parameter in parameters} & self._table.keys()
+        if not names:
+            return
+        values = self._values()
+        if changes := changed_words(self._told, values):
+            self._node.get_logger().info(f"set: {changes}")
+        self._inbox.deliver()  # what came before they were set
+        now, settings, self._told = self._now(), settings_of(Settings, values), values
+        if settings.time_scale != self._settings.time_scale:
+            self._live.set_scale(now, settings.time_scale)
+        if settings.max_voltage != self._settings.max_voltage:
+            self._live.limit(now, settings.max_voltage)
+        self._live.command_timeout = settings.command_timeout
+        if settings.frame_id != self._settings.frame_id:
+            self._messages.set_frame_id(settings.frame_id)
+        if settings.publish_rate != self._settings.publish_rate:
+            self._worker.set_rate(settings.publish_rate)
+        self._settings = settings
+        if any(name.startswith(VALVE_KEYS) for name in names - {TOLERANCES}):
+            valve = self._current_valve()
+            self._live.set_valve(now, valve)
+            if self._calibration is not None:
+                self._calibration.note(valve, datetime.now(timezone.utc))
+            if valve.gas is not None and self._gas is None:
+                self._gas = self._wire_gas()
+            if self._is_ready:
+                self._warn_if_it_cannot_open(valve)
+
+    def _checked(self, parameters: list[Parameter], source: str) -> dict[str, Value]:
+        checked = {}
+        for parameter in parameters:
+            if parameter.name in self._table:
+                if parameter.type_ is Parameter.Type.NOT_SET:
+                    raise ParameterError(f"{source}: {parameter.name}: cannot be undeclared")
+                checked[parameter.name] = self._table[parameter.name].check(
+                    parameter.value, f"{source}: {parameter.name}"
+                )
+        return checked
+
+    def _values(self) -> dict[str, Value]:
+        found = {}
+        for name, entry in self._table.items():
+            value = self._node.get_parameter(name).value
+            found[name] = list(value) if isinstance(entry.default, list) else value
+        return found
+
+    def _current_valve(self) -> Valve:
+        return valve_of(self._values(), self._node.get_fully_qualified_name())
+
+    def _warn_if_it_cannot_open(self, valve: Valve) -> None:
+        with contextlib.suppress(Exception):
+            if not can_open(valve):
+                self._node.get_logger().warning(
+                    f"with these parameters the valve cannot open: at {valve.parameters.reference_voltage:g} V nothing "
+                    "lifts the pilot plunger off its seat (look at valve.attraction_polynomial[0] and valve.seat_load)"
+                )

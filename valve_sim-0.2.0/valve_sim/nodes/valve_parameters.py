@@ -1,0 +1,206 @@
+"""The table of valve_node's parameters: its settings, and the valve. Needs no ROS.
+
+Entries `valve.*` and `gas.*` come from the model's declared parameters, `effects.*` from its catalogue. How well the
+values are known is one parameter, `tolerances`: the group of that name of a parameter file, as JSON. Names below it,
+such as `tolerances.stroke`, are taken from files and command lines, and at run time, and go into that one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from typing import Any, Final, NamedTuple
+
+from valve_sim.files.parameter_files import (
+    add_tolerance,
+    complete_effect,
+    off_value,
+    read_tolerances,
+    tolerances_text,
+    valve_from_flat,
+)
+from valve_sim.model import CATALOGUE, DECLARED, Parameter, Valve, ValveParameters
+from valve_sim.model.gas import FLUIDS, GAS, GasParameters
+from valve_sim.nodes.parameters import NodeParameter, Table, Value, Words, check_given, table_of
+
+TOLERANCES: Final = "tolerances"
+VALVE_KEYS: Final = ("valve.", "effects.", "gas.", TOLERANCES)
+"""What the names of parameters that describe a valve, not a node, begin with."""
+
+
+class Settings(NamedTuple):
+    """The node's own parameters; units as in the table."""
+
+    publish_rate: float = 1000.0
+    time_scale: float = 1.0
+    command_timeout: float = 0.0
+    max_voltage: float = 30.0
+    frame_id: str = ""
+    calibration: str = ""
+
+
+_SETTINGS: Final = table_of(
+    Settings,
+    Parameter(
+        "publish_rate", "Hz", "samples a second of the clock on ~/joint_states, ~/coil and ~/coil_current", 0.1, 1e4
+    ),
+    Parameter("time_scale", "–", "model seconds a second of the clock; below 1 is slow motion", 1e-6, 1e3),
+    Parameter("command_timeout", "s", "without a command for so long, the coil is de-energised; 0: never", 0, 1e6),
+    Parameter("max_voltage", "V", "commands beyond it, either sign, are ignored and counted", 0, 1e4),
+    Words("frame_id", "header.frame_id of the joint states"),
+    Words(
+        "calibration",
+        "calibration.json of `valve-sim commission`: what the valve has otherwise, at the start and when it is set, "
+        "is appended to its journal; empty: none",
+        read_only=True,
+    ),
+    read_only=False,
+)
+
+
+def valve_table(default: Valve, *, read_only: bool = False) -> dict[str, NodeParameter]:
+    """The parameters that describe a valve, by name.
+
+    Args:
+        default: the valve whose values are the defaults. read_only: whether they are read once.
+    """
+    entries = [
+        *_declared_entries(default.parameters),
+        *_gas_entries(default.gas),
+        *_effect_entries(default.effects),
+    ]
+    meaning = "standard deviations of declared values, as the group of a parameter file, in JSON; empty: all exact"
+    entries.append(NodeParameter(TOLERANCES, tolerances_text(default.tolerances.to_mapping()), meaning))
+    return {entry.name: entry._replace(read_only=read_only) for entry in entries}
+
+
+def table(default: Valve) -> dict[str, NodeParameter]:
+    """Every parameter of valve_node by name; `default`: the valve whose values are the defaults."""
+    return {**_SETTINGS, **valve_table(default)}
+
+
+def check_with_valve(
+    given: Mapping[str, object], entries: Table, sources: Mapping[str, str], program: str
+) -> dict[str, Value]:
+    """The values at the start of a node whose table has a valve, replaced by what was given.
+
+    Args:
+        given: flat names and values; those of ROS itself are passed over.
+        entries: the table.
+        sources: name to the file where it was given; the command line where missing.
+        program: the node's, for messages.
+
+    Raises:
+        ParameterError: unknown name, wrong type, out of range, or a valve that cannot be.
+    """
+    others: dict[str, object] = {}
+    tolerances: dict[str, Any] = read_tolerances(given.get(TOLERANCES, ""), sources.get(TOLERANCES, "command line"))
+    for name, value in given.items():
+        source = sources.get(name, "command line")
+        if name.startswith(f"{TOLERANCES}."):
+            add_tolerance(tolerances, name, value, source)
+        elif _is_retired(name):
+            _, effect, parameter = name.split(".")
+            complete_effect(effect, {parameter: value}, source)
+        else:
+            others[name] = value
+    if tolerances:
+        others[TOLERANCES] = tolerances_text(tolerances)
+    values = check_given(others, entries, sources, program, _defaults(entries, given))
+    files = [sources[name] for name in given if name in sources and name.startswith(VALVE_KEYS)]
+    of_tolerances = [sources[name] for name in given if name in sources and name.startswith(TOLERANCES)]
+    valve_of(values, (of_tolerances or files or ["command line"])[-1])
+    return values
+
+
+def valve_of(values: Mapping[str, object], source: str) -> Valve:
+    """The valve that the node's values describe.
+
+    Raises:
+        ParameterError: they are no valve, such as a gap beyond the stroke.
+    """
+    of_valve = {name: value for name, value in values.items() if name.startswith(VALVE_KEYS)}
+    return valve_from_flat(of_valve, source, Valve())
+
+
+def with_tolerances(changes: Mapping[str, Any], values: Mapping[str, Value]) -> dict[str, Any]:
+    """Changes in which names below `tolerances` have gone into that parameter.
+
+    The tolerances of an effect that they switch off go with it, but for those that they set themselves.
+
+    Args:
+        changes: what is about to be set. values: what is set, of the whole table.
+
+    Raises:
+        ParameterError: what is said of tolerances, or of an effect, cannot be read.
+    """
+    stated = {name: value for name, value in changes.items() if name.startswith(f"{TOLERANCES}.")}
+    others = {name: value for name, value in changes.items() if name not in stated}
+    known = read_tolerances(others.get(TOLERANCES, values[TOLERANCES]), TOLERANCES)
+    after = {**values, **others}
+    for effect in {name.split(".")[1] for name in changes if name.startswith("effects.")} & CATALOGUE.keys():
+        found = {name: after[f"effects.{effect}.{name}"] for name in CATALOGUE[effect].given_names}
+        if effect in known.get("effects", {}) and complete_effect(effect, found, "") is None:
+            del known["effects"][effect]
+            stated = {f"{TOLERANCES}.": None, **stated}
+    if not stated:
+        return others
+    for name, value in stated.items():
+        if name != f"{TOLERANCES}.":
+            add_tolerance(known, name, value, "")
+    return {**others, TOLERANCES: tolerances_text(known)}
+
+
+def _defaults(entries: Table, given: Collection[str]) -> dict[str, Value]:
+    """The default value of every parameter.
+
+    The shipped tolerances are of the shipped valve: where anything of a valve is given, all others are exact, as in a
+    parameter file.
+    """
+    values = {name: entry.default for name, entry in entries.items()}
+    return {**values, TOLERANCES: ""} if any(name.startswith(VALVE_KEYS) for name in given) else values
+
+
+def _is_retired(name: str) -> bool:
+    """Whether an effect had this parameter in an earlier release."""
+    root, _, rest = name.partition(".")
+    effect, _, parameter = rest.partition(".")
+    return root == "effects" and effect in CATALOGUE and parameter in CATALOGUE[effect].retired
+
+
+def _of(name: str, default: float, rule: Parameter, words: str = "") -> NodeParameter:
+    return NodeParameter(name, default, rule.description + words, rule.unit, rule)
+
+
+def _declared_entries(parameters: ValveParameters) -> list[NodeParameter]:
+    entries = []
+    for name, value in parameters._asdict().items():
+        if name == "attraction_polynomial":
+            words = "attraction at u = 1: a0 + a1 x + a2 x² + a3 x³"
+            entries.append(NodeParameter(f"valve.{name}", list(value), words, "N, N/m, N/m², N/m³"))
+        else:
+            entries.append(_of(f"valve.{name}", float(value), DECLARED[name]))
+    return entries
+
+
+def _gas_entries(gas: GasParameters | None) -> list[NodeParameter]:
+    """Of the group `gas`: without it, what must be declared is 0."""
+    known = GasParameters._field_defaults if gas is None else gas._asdict()
+    entries = [_of(f"gas.{name}", known.get(name, 0.0), rule) for name, rule in GAS.items()]
+    return [*entries, NodeParameter("gas.fluid", str(known["fluid"]), f"name of the gas: {', '.join(FLUIDS)}")]
+
+
+def _effect_entries(on: Mapping[str, Mapping[str, float]]) -> list[NodeParameter]:
+    entries = []
+    for effect in CATALOGUE.values():
+        whole, given = effect.given_as_list, on.get(effect.name)
+        for rule in effect.parameters:
+            if rule.name not in effect.given_names:
+                continue
+            off = "shapes the effect, does not switch it" if rule.off is None else f"off: {off_value(rule):g}"
+            default = on.get(effect.name, {}).get(rule.name, off_value(rule))
+            entries.append(_of(f"effects.{effect.name}.{rule.name}", default, rule, f" ({effect.summary}; {off})"))
+        if whole is not None:
+            items = effect.packed(effect.neutral_values() if given is None else given)[whole.name]
+            words = f"{whole.description} ({effect.summary}; off: all 0)"
+            entries.append(NodeParameter(f"effects.{effect.name}.{whole.name}", items, words, whole.unit))
+    return entries

@@ -1,0 +1,369 @@
+"""What every node is made with: its parameters and its topics, each by its table.
+
+Nodes that command coils have in common that a signal only ends their work, and that 0 V is the last command of all.
+"""
+
+from __future__ import annotations
+
+import importlib
+import signal
+import threading
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from datetime import datetime, timezone
+from pathlib import Path
+from types import FrameType
+from typing import Any, Protocol
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.callback_groups import CallbackGroup
+from rclpy.executors import ExternalShutdownException
+from rclpy.expand_topic_name import expand_topic_name
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import uninstall_signal_handlers
+from std_msgs.msg import Float64
+
+from valve_sim.files.parameter_sections import Section
+from valve_sim.model import ParameterError, Valve
+from valve_sim.nodes.diagnostics import CalibrationWatch, Status
+from valve_sim.nodes.messages import diagnostic_array
+from valve_sim.nodes.node_clock import NodeClock
+from valve_sim.nodes.parameters import NodeParameter, Table, Value, files_for_others, is_of_ros, sources_of
+from valve_sim.nodes.receiving import Inbox, Source, Take
+from valve_sim.nodes.spinning import every, spin, wait_until_heard
+from valve_sim.nodes.threads import Fail, StoppableThread, StopRequest
+from valve_sim.nodes.topics import Qos, Topic
+
+Check = Callable[[Mapping[str, object], Mapping[str, str]], Any]
+"""Makes settings, or values, of what was given by name, and of the file where each was given."""
+
+
+def make_node(name: str) -> Node:
+    """A node that has declared all parameters that it was given, known or not, with the type that they have.
+
+    Raises:
+        ParameterError: something was given without a value.
+    """
+    try:
+        return Node(name, automatically_declare_parameters_from_overrides=True)
+    except ValueError as error:
+        raise ParameterError(
+            "a parameter file or the command line gives a name without a value, such as effects: {} or free:=[] "
+            f"({error}); take it out"
+        ) from error
+
+
+def declared(
+    node: Node,
+    sections: Sequence[tuple[str, Section]],
+    table: Table,
+    check: Check,
+    former_names: Mapping[str, str] | None = None,
+) -> Any:
+    """What `check` makes of the parameters that were given; all of the table are declared with these values.
+
+    Args:
+        node: the one that starts. sections: (file, section) of the parameter files on the command line.
+        table: of the node. check: its settings, a named tuple, or its values by name.
+        former_names: names of an earlier release, which still count, to present ones.
+
+    Raises:
+        ParameterError: a parameter is unknown, of the wrong type or out of range.
+    """
+    given = _given(node, sections, former_names or {})
+    found = check(given, sources_of(sections, node.get_fully_qualified_name()))
+    values: Mapping[str, Value] = found if isinstance(found, dict) else found._asdict()
+    for name in given:
+        node.undeclare_parameter(name)
+    for name, entry in table.items():
+        value = values[name]
+        node.declare_parameter(
+            name, list(value) if isinstance(value, tuple) else value, descriptor(entry), ignore_override=True
+        )
+    return found
+
+
+def _given(node: Node, sections: Sequence[tuple[str, Section]], former_names: Mapping[str, str]) -> dict[str, object]:
+    """Flat name to value of the parameters given on the command line and in its files, without those of ROS itself.
+
+    rclpy passes over a misspelt name without a word; `make_node` has declared it. A file that holds nothing for this
+    node is warned about, and so is a name of an earlier release.
+    """
+    name = node.get_fully_qualified_name()
+    for path, found in files_for_others(sections, name).items():
+        node.get_logger().warning(f"{path} has parameters for {', '.join(found)}, and none for {name}")
+    for former, present in former_names.items():
+        if node.has_parameter(former):
+            node.get_logger().warning(f"parameter {former} is called {present} now; please use that name")
+            value = node.get_parameter(former).value
+            node.undeclare_parameter(former)
+            if not node.has_parameter(present):
+                node.declare_parameter(present, value, ignore_override=True)
+    all_declared: Mapping[str, Any] = node.get_parameters_by_prefix("")
+    return {key: parameter.value for key, parameter in all_declared.items() if not is_of_ros(key)}
+
+
+def descriptor(entry: NodeParameter) -> ParameterDescriptor:
+    """The descriptor of a parameter, and the range that ROS enforces."""
+    message = ParameterDescriptor(name=entry.name, description=entry.description, read_only=entry.read_only)
+    limits = entry.range
+    if limits is None:
+        message.additional_constraints = entry.choice_words if entry.choices else ""
+    elif entry.type == "integer":
+        message.integer_range = [IntegerRange(from_value=int(limits[0]), to_value=int(limits[1]), step=1)]
+    else:
+        message.floating_point_range = [FloatingPointRange(from_value=float(limits[0]), to_value=float(limits[1]))]
+        if entry.rule is not None:
+            message.additional_constraints = entry.rule.range_words()
+    return message
+
+
+def full_name(node: Node, given: str, key: str) -> str:
+    """The full name of another node or topic, relative to this node's namespace unless it begins with a slash.
+
+    Raises:
+        ParameterError: it is no name; the message says that parameter `key` holds it.
+    """
+    try:
+        return str(expand_topic_name(given, node.get_name(), node.get_namespace()))
+    except ValueError as error:
+        raise ParameterError(f"{key}: found {given!r}, expected a ROS name, such as valve or /tank_1/valve") from error
+
+
+class Interface:
+    """The topics and services of a node, made by its table: what is not in the table cannot be made.
+
+    Args:
+        node: has them. topics: the table. places: what stands for the words in braces of a name.
+    """
+
+    def __init__(self, node: Node, topics: Sequence[Topic], **places: str) -> None:
+        self._node, self._places = node, places
+        self._topics = {(topic.name, topic.direction): topic for topic in topics}
+
+    def publisher(self, name: str, *, depth: int = 0, **places: str) -> Publisher:
+        """A publisher of a topic; it takes messages and encoded ones, as bytes.
+
+        Args:
+            name: as in the table. depth: messages that are kept, at least. places: as of the class.
+        """
+        topic = self._topics[name, "out"]
+        wanted = profile(topic.qos)
+        wanted.depth = max(wanted.depth, depth)
+        return self._node.create_publisher(kind_of(topic.type), self._filled(name, places), wanted)
+
+    def receive(self, inbox: Inbox, name: str, take: Take, *, raw: bool = False, **places: str) -> Source:
+        """Have a topic received; see `Inbox.subscribe`."""
+        topic = self._topics[name, "in"]
+        return inbox.subscribe(kind_of(topic.type), self._filled(name, places), take, profile(topic.qos), raw=raw)
+
+    def serve(self, name: str, answer: Callable[..., Any], group: CallbackGroup | None = None, **places: str) -> None:
+        """Answer a service; `places` as of the class."""
+        kind = kind_of(self._topics[name, "service"].type)
+        self._node.create_service(kind, self._filled(name, places), answer, callback_group=group)
+
+    def _filled(self, name: str, places: Mapping[str, str]) -> str:
+        return name.format(**self._places, **places)
+
+
+def kind_of(name: str) -> Any:
+    """The class of a message or service: "std_msgs/msg/Bool" and the like.
+
+    Raises:
+        ImportError, AttributeError: it is not installed.
+    """
+    package, folder, kind = name.split("/")
+    return getattr(importlib.import_module(f"{package}.{folder}"), kind)
+
+
+def profile(qos: Qos | None) -> QoSProfile:
+    """The profile of a table's entry."""
+    wanted = qos or Qos()
+    return QoSProfile(
+        depth=wanted.depth,
+        reliability=ReliabilityPolicy.RELIABLE if wanted.is_reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if wanted.is_latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+class DuplicateNodes:
+    """Looks for other nodes with the name of a node; logs each change of their number.
+
+    ROS allows two nodes of one name, and both obey commands and publish on the same topics.
+
+    Args:
+        node: whose name it is.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._others = 0
+
+    def look(self) -> int:
+        """How many others there are now."""
+        name = self._node.get_fully_qualified_name()
+        found = [f"{space.rstrip('/')}/{short}" for short, space in self._node.get_node_names_and_namespaces()]
+        others = max(0, found.count(name) - 1)
+        if others > self._others:
+            self._node.get_logger().warning(
+                f"{others + 1} nodes are called {name}: all of them publish and obey on the same topics; end "
+                "the others, or start each under its own name or namespace (--ros-args -r __node:=... or -r __ns:=...)"
+            )
+        self._others = others
+        return others
+
+
+class Stops(Protocol):
+    """What runs beside a node, such as a thread."""
+
+    def stop(self, timeout: float) -> bool:
+        """Ask it to end; whether it has ended within `timeout`, s."""
+
+
+class RosNode:
+    """What the nodes of this package have in common: a node, its clock, what runs beside it, and their end.
+
+    Args:
+        name: of the node, unless ROS is told another.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._node = make_node(name)
+        self._clock = NodeClock(self._node)
+        self._exit_code = 0
+        self._threads: list[Stops] = []
+        """What is asked to end at the node's end, in this order."""
+
+    @property
+    def exit_code(self) -> int:
+        """0, or 1 if the node failed."""
+        return self._exit_code
+
+    def spin(self) -> None:
+        """Run until ROS is shut down."""
+        spin(self._node)
+
+    def close(self, timeout: float) -> bool:
+        """Ask all threads to end and release the node; whether each has ended within `timeout`, s.
+
+        A thread that calculates for longer finds no node any more, and ends with the process.
+        """
+        have_ended = [thread.stop(timeout) for thread in self._threads]
+        self._node.destroy_node()
+        return all(have_ended)
+
+    def _now(self) -> int:
+        """Time of the node's clock, ns; 0 before the first /clock."""
+        reading = self._clock.read()
+        return 0 if reading is None else reading.nanoseconds
+
+    def _publish_diagnostics(self, interface: Interface, statuses: Callable[[], Iterable[Status]]) -> None:
+        """Say what there is to say once a second of wall time, so that a silent /clock is reported too."""
+        name, publisher = self._node.get_fully_qualified_name(), interface.publisher("/diagnostics")
+        every(self._node, 1.0, lambda: publisher.publish(diagnostic_array(statuses(), name, self._clock.stamp())))
+
+    def _watched_calibration(self, path: str, valve: Valve) -> CalibrationWatch | None:
+        """The calibration record at a path, with what is declared otherwise noted; None where the path is empty.
+
+        Raises:
+            ValveError: the record, or its journal, cannot be used.
+        """
+        if not path:
+            return None
+        logger, name = self._node.get_logger(), self._node.get_fully_qualified_name()
+        watch = CalibrationWatch(Path(path).expanduser(), name, logger.warning)
+        watch.note(valve, datetime.now(timezone.utc))
+        return watch
+
+    def _fail(self, error: Exception) -> None:
+        """End the node, whichever of its threads cannot go on."""
+        self._log_failure(error)
+        self._node.context.try_shutdown()
+
+    def _log_failure(self, error: Exception) -> None:
+        if self._node.context.ok():
+            self._exit_code = 1
+            self._node.get_logger().fatal(f"the node cannot go on: {error!r}")
+
+
+class AnsweringThread(StoppableThread):
+    """Answers ROS (parameters, topics, /clock) until it is stopped, and shuts ROS down then.
+
+    SIGINT and SIGTERM only call `end_work`: a ROS context that they had shut down could not send 0 V any more.
+
+    Args:
+        node: is spun. end_work: called with the reason why the main thread shall end its work.
+        fail: told what went wrong in the thread.
+    """
+
+    def __init__(self, node: Node, end_work: Callable[[str], None], fail: Fail) -> None:
+        super().__init__("answering", self._answer, fail)
+        self._node, self._end_work = node, end_work
+
+    def start(self) -> None:
+        """Take signals from now on, and answer; to be called in the main thread."""
+        uninstall_signal_handlers()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._take_signal)
+        super().start()
+
+    def wake(self) -> None:
+        """Shut ROS down, whose end this thread waits for."""
+        self._node.context.try_shutdown()
+
+    def _take_signal(self, number: int, frame: FrameType | None) -> None:
+        self._end_work(f"a signal came ({signal.Signals(number).name})")
+
+    def _answer(self) -> None:
+        try:
+            spin(self._node)
+        except ExternalShutdownException:
+            self._end_work("ROS was shut down")
+
+
+class CommandingNode(RosNode):
+    """A node whose main thread works until it is done or told to end, and which then commands 0 V.
+
+    Whichever thread commands does so under `_commanding`, unless `_is_off`.
+
+    Args:
+        name: of the node, unless ROS is told another.
+    """
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self._voltages: list[Publisher] = []
+        self._commanding = threading.Lock()
+        self._is_off = False
+        """Whether 0 V has been commanded for good; whoever is still at work then commands nothing."""
+        self._stop = StopRequest()
+        self._answering = AnsweringThread(self._node, self._stop.ask, self._fail)
+        self._threads.append(self._answering)
+
+    def spin(self) -> None:
+        """Work until that is done or a signal comes; 0 V is the last command to every coil."""
+        self._answering.start()
+        try:
+            self._work()
+        finally:
+            self._switch_off()
+
+    def _work(self) -> None:
+        """What the node does in its main thread, until it is asked to stop."""
+        self._stop.wait()
+
+    def _switch_off(self) -> None:
+        """Command 0 V to every coil for good, and wait until that is heard."""
+        with self._commanding:
+            self._is_off = True
+            if not self._node.context.ok():
+                return
+            for voltage in self._voltages:
+                voltage.publish(Float64(data=0.0))
+        wait_until_heard(self._voltages)
+
+    def _fail(self, error: Exception) -> None:
+        """End the work, whichever thread cannot go on; ROS stays, so that 0 V can still be sent."""
+        self._log_failure(error)
+        self._stop.ask(f"the node cannot go on: {error!r}")

@@ -1,0 +1,233 @@
+"""The one table of what an OPC UA client sees of a valve, and how it follows from what monitors and valves say.
+
+Knows neither OPC UA nor ROS: reports are the JSON of a monitor's topics, values are plain Python.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from datetime import datetime, timezone
+from typing import Any, Final, Literal, NamedTuple
+
+from valve_sim.model.errors import ValveError
+
+Kind = Literal["Double", "Int32", "Boolean", "String"]
+Values = dict[str, object]
+"""Values by path; None for what is not known."""
+
+
+class Figure(NamedTuple):
+    """One variable of a valve.
+
+    Attributes:
+        path: group and name, as they are browsed. kind: its type. unit: SI symbol, empty for none.
+        description: one line. is_list: whether it is an array. is_kept: whether its history is kept.
+    """
+
+    path: str
+    kind: Kind
+    unit: str
+    description: str
+    is_list: bool = False
+    is_kept: bool = True
+
+    @property
+    def group(self) -> str:
+        """The object that it is a component of."""
+        return self.path.partition(".")[0]
+
+    @property
+    def name(self) -> str:
+        """Its name within the group."""
+        return self.path.partition(".")[2]
+
+
+FIGURES: Final = (
+    Figure("Health.Level", "Int32", "", "what the monitor says of the valve: 0 OK, 1 WARN, 2 ERROR, 3 STALE"),
+    Figure("Health.Message", "String", "", "the same in words"),
+    Figure("Driver.Level", "Int32", "", "the worst that the valve's own node says: 0 OK, 1 WARN, 2 ERROR, 3 STALE"),
+    Figure("Driver.Message", "String", "", "the words of that"),
+    Figure("Live.Phase", "Int32", "", "0 closed, 1 pilot, 2 gap_hold, 3 main, 4 open"),
+    Figure("Live.IsOpen", "Boolean", "", "whether the flow path is fully open"),
+    Figure("Live.CoilCurrent", "Double", "A", "current of the coil", is_kept=False),
+    Figure("Live.OutletPressure", "Double", "Pa", "pressure behind the valve, absolute", is_kept=False),
+    Figure("Stroke.Number", "Int32", "", "of the last stroke, from 0 on"),
+    Figure("Stroke.State", "String", "", "of the monitor at that stroke"),
+    Figure("Stroke.OpeningDelay", "Double", "s", "from the command until the plunger moves"),
+    Figure("Stroke.T1", "Double", "s", "pilot plunger reaches the main plunger, after the command"),
+    Figure("Stroke.T1StandardError", "Double", "s", "standard error of T1"),
+    Figure("Stroke.T2", "Double", "s", "all parts reach the core, after the command"),
+    Figure("Stroke.T2StandardError", "Double", "s", "standard error of T2"),
+    Figure("Stroke.ClosingTime", "Double", "s", "main plunger is seated again, after the command to close"),
+    Figure("Stroke.ClosingTimeStandardError", "Double", "s", "standard error of ClosingTime"),
+    Figure("Stroke.PilotDamping", "Double", "N·s/m", "damping in Phase 1, refitted to this stroke"),
+    Figure("Stroke.PilotDampingStandardError", "Double", "N·s/m", "standard error of PilotDamping"),
+    Figure("Stroke.MainDamping", "Double", "N·s/m", "damping in Phase 2, refitted to this stroke"),
+    Figure("Stroke.MainDampingStandardError", "Double", "N·s/m", "standard error of MainDamping"),
+    Figure("Stroke.Residual", "Double", "m", "measured less predicted position, root mean square"),
+    Figure("Stroke.CurrentResidual", "Double", "A", "measured less predicted current, of a valve watched by it alone"),
+    Figure("Stroke.Score", "Double", "", "largest cumulative sum of the scores"),
+    Figure("Stroke.Threshold", "Double", "", "of that sum, at which an alarm is raised"),
+    Figure("Stroke.Cause", "String", "", "the effect in whose direction that sum points"),
+    Figure("Stroke.ScoreNames", "String", "", "effects with the largest scores of this stroke", is_list=True),
+    Figure("Stroke.Scores", "Double", "", "those scores, standard normal while nothing has changed", is_list=True),
+    Figure("Finding.Effect", "String", "", "what has changed: names of effects or of declared values"),
+    Figure("Finding.Parameter", "String", "", "the parameter whose value is given"),
+    Figure("Finding.Value", "Double", "", "of that parameter, in the unit of Unit"),
+    Figure("Finding.StandardError", "Double", "", "standard error of that value"),
+    Figure("Finding.Unit", "String", "", "SI unit of value and standard error"),
+    Figure("Finding.Probability", "Double", "", "that this is what has changed, 0 to 1"),
+    Figure("Finding.Stroke", "Int32", "", "the last stroke that the finding rests on"),
+    Figure("Finding.Summary", "String", "", "the finding in one sentence"),
+)
+"""All variables of a valve, in the order in which they are browsed."""
+
+BY_PATH: Final = {figure.path: figure for figure in FIGURES}
+
+_CODES: Final = {
+    "s": ("SEC", "second"),
+    "m": ("MTR", "metre"),
+    "A": ("AMP", "ampere"),
+    "V": ("VLT", "volt"),
+    "Pa": ("PAL", "pascal"),
+    "N·s/m": ("C57", "newton second per metre"),
+}
+"""Common codes of UNECE Recommendation 20 of the units above, and their names."""
+
+
+def unit_id(unit: str) -> int:
+    """The UnitId that OPC UA derives from a unit's common code; -1 for a unit without one."""
+    found = _CODES.get(unit)
+    return -1 if found is None else int.from_bytes(found[0].encode("ascii"), "big")
+
+
+def unit_words(unit: str) -> str:
+    """A unit's name in words, or its symbol."""
+    found = _CODES.get(unit)
+    return unit if found is None else found[1]
+
+
+class Report(NamedTuple):
+    """What was said of a valve: full name of its node, time in UTC, and values by path."""
+
+    valve: str
+    time: datetime
+    values: Values
+
+
+def utc(seconds: float) -> datetime:
+    """A time in s since 1970 as OPC UA wants it."""
+    return datetime.fromtimestamp(seconds, timezone.utc)
+
+
+def stroke_report(text: str) -> Report:
+    """What a monitor's ~/stroke_report says.
+
+    Raises:
+        ValveError: it is no such report.
+    """
+    found = _read(text, "valve_sim/stroke/1")
+    alarm, damping = _mapping(found.get("alarm")), _mapping(found.get("damping"))
+    scores = _mapping(found.get("scores"))
+    values: Values = {
+        "Stroke.Number": found["stroke"],
+        "Stroke.State": found.get("state"),
+        "Stroke.Residual": _scaled(found.get("residual_rms_um"), 1e-6),
+        "Stroke.CurrentResidual": _scaled(found.get("residual_rms_ma"), 1e-3),
+        "Stroke.Score": alarm.get("sum"),
+        "Stroke.Threshold": alarm.get("threshold"),
+        "Stroke.Cause": alarm.get("cause") or "",
+        "Stroke.ScoreNames": [str(name) for name in scores],
+        "Stroke.Scores": [math.nan if score is None else float(score) for score in scores.values()],
+    }
+    for name, key in (
+        ("OpeningDelay", "opening_delay"),
+        ("T1", "t1"),
+        ("T1StandardError", "t1_stderr"),
+        ("T2", "t2"),
+        ("T2StandardError", "t2_stderr"),
+        ("ClosingTime", "closing_time"),
+        ("ClosingTimeStandardError", "closing_time_stderr"),
+    ):
+        values[f"Stroke.{name}"] = found.get(key)
+    for name, key in (("PilotDamping", "pilot_damping"), ("MainDamping", "main_damping")):
+        interval = _mapping(damping.get(key))
+        values[f"Stroke.{name}"] = interval.get("value")
+        values[f"Stroke.{name}StandardError"] = interval.get("stderr")
+    return Report(found["valve"], utc(found["time"]), values)
+
+
+def finding_report(summary: str, found: Mapping[str, str]) -> Report:
+    """What a monitor's ~/finding says; of several parameters the first is shown, and all are in the summary.
+
+    Args:
+        summary: its words. found: keys and values.
+
+    Raises:
+        ValveError: it is no such finding.
+    """
+    name = next((key for key in found if key.startswith("parameters.") and key.endswith(".value")), "")
+    name = name.removeprefix("parameters.").removesuffix(".value")
+    values: Values = {
+        "Finding.Effect": found.get("effects") or found.get("kind"),
+        "Finding.Parameter": name,
+        "Finding.Value": _number(found, f"parameters.{name}.value"),
+        "Finding.StandardError": _number(found, f"parameters.{name}.stderr"),
+        "Finding.Unit": unit_of(name),
+        "Finding.Probability": _number(found, "probability"),
+        "Finding.Summary": summary,
+    }
+    try:
+        values["Finding.Stroke"] = int(found["stroke"])
+        return Report(found["valve"], utc(float(found["time"])), values)
+    except (KeyError, ValueError) as error:
+        raise ValveError(f"found {dict(found)!r:.60}, expected a finding of a monitor: {error!r}") from error
+
+
+def _number(found: Mapping[str, str], key: str) -> float | None:
+    try:
+        return float(found[key])
+    except (KeyError, ValueError):
+        return None
+
+
+def unit_of(parameter: str) -> str:
+    """The SI unit of a parameter as findings name it, such as coulomb_friction.force; empty where it has none."""
+    from valve_sim.model import CATALOGUE, DECLARED
+    from valve_sim.model.gas.parameters import GAS
+
+    group, _, name = parameter.rpartition(".")
+    if group in CATALOGUE:
+        entries = {entry.name: entry for entry in CATALOGUE[group].parameters}
+    else:
+        entries = GAS if group == "gas" else DECLARED
+    unit = entries[name].unit if name in entries else ""
+    return "" if unit == "–" else unit
+
+
+def worst(statuses: Sequence[tuple[int, str, str]]) -> tuple[int, str]:
+    """The level and the words of the worst of some statuses: (level, task, message) each."""
+    level, task, message = max(statuses, key=lambda status: status[0])
+    return level, f"{task}: {message}"
+
+
+def _read(text: str, schema: str) -> dict[str, Any]:
+    try:
+        found = json.loads(text)
+        if found["schema"] != schema:
+            raise ValveError(f"found a message of schema {found['schema']!r}, expected {schema}: use one version")
+        float(found["time"]), int(found["stroke"]), str(found["valve"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise ValveError(f"found {text[:60]!r}, expected a message of schema {schema}: {error!r}") from error
+    assert isinstance(found, dict)
+    return found
+
+
+def _mapping(found: object) -> Mapping[str, Any]:
+    return found if isinstance(found, Mapping) else {}
+
+
+def _scaled(value: object, factor: float) -> float | None:
+    return factor * value if isinstance(value, int | float) else None

@@ -1,0 +1,134 @@
+"""What monitors and valves say on topics, as reports; for the nodes that pass it on."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+from std_msgs.msg import String
+
+from valve_sim.model.errors import ValveError
+from valve_sim.nodes.node_clock import NodeClock
+from valve_sim.nodes.realtime import NANOSECONDS, Arrival
+from valve_sim.nodes.receiving import Inbox
+from valve_sim.nodes.wiring import Interface
+from valve_sim.station.figures import Report, Values, finding_report, stroke_report, utc, worst
+
+
+class StationEar:
+    """What is said of the valves of a station, heard when its node looks, a few times a second.
+
+    Args:
+        node: subscribes. clock, interface: of it.
+        valves, monitors: full names of their nodes, in one order.
+        tell: is handed each report.
+        is_live: whether to hear phase, is_open, current and pressure of the valves, too.
+        alarms: the topic on which an opcua_node says what people did to alarms; empty: not heard.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        clock: NodeClock,
+        interface: Interface,
+        valves: Sequence[str],
+        monitors: Sequence[str],
+        tell: Callable[[Report], None],
+        *,
+        is_live: bool,
+        alarms: str = "",
+    ) -> None:
+        self._node, self._tell = node, tell
+        self._pairs = list(zip(valves, monitors, strict=True))
+        self._inbox = Inbox(node, clock)
+        for valve, monitor in self._pairs:
+            take = partial(self._take_stroke, valve)
+            interface.receive(self._inbox, "{monitor}/stroke_report", take, monitor=monitor)
+            interface.receive(self._inbox, "{monitor}/finding", partial(self._take_finding, valve), monitor=monitor)
+            if is_live:
+                hear_live(interface, self._inbox, self._inbox, valve, partial(self._show, valve))
+        interface.receive(self._inbox, "/diagnostics", self._diagnose)
+        if alarms:
+            interface.receive(self._inbox, "{alarms}", self._take_answer, alarms=alarms)
+
+    def look(self) -> None:
+        """Take all that has come since the last look."""
+        self._inbox.deliver()
+
+    def _show(self, valve: str, name: str, value: Any, arrival: Arrival) -> None:
+        path = {"phase": "Phase", "is_open": "IsOpen", "coil_current": "CoilCurrent"}.get(name, "OutletPressure")
+        received = arrival.received / NANOSECONDS or time.time()
+        self._tell(Report(valve, utc(received), {f"Live.{path}": value}))
+
+    def _take_stroke(self, valve: str, message: String, arrival: Arrival) -> None:
+        self._report(valve, lambda: stroke_report(message.data))
+
+    def _take_finding(self, valve: str, message: DiagnosticArray, arrival: Arrival) -> None:
+        for status in message.status:
+            values = {entry.key: entry.value for entry in status.values}
+            self._report(valve, partial(finding_report, status.message, values))
+
+    def _report(self, valve: str, read: Callable[[], Report]) -> None:
+        try:
+            self._tell(read()._replace(valve=valve))
+        except ValveError as error:
+            self._node.get_logger().warning(f"a report of {valve} is left out: {error}", throttle_duration_sec=10.0)
+
+    def _take_answer(self, message: DiagnosticArray, arrival: Arrival) -> None:
+        stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+        for status in message.status:
+            said = {entry.key: entry.value for entry in status.values}
+            if any(said.get("valve") == valve for valve, _ in self._pairs):
+                values: Values = {"Answer.Level": status.level[0], "Answer.Message": status.message}
+                values |= {"Answer.User": said.get("user", ""), "Answer.Comment": said.get("comment", "")}
+                self._tell(
+                    Report(said["valve"], utc(stamp), {**values, "Answer.IsShelved": said.get("shelved") == "true"})
+                )
+
+    def _diagnose(self, message: DiagnosticArray, arrival: Arrival) -> None:
+        stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+        for valve, monitor in self._pairs:
+            values: Values = {}
+            for status in message.status:
+                if status.name == f"{monitor.lstrip('/')}: valve":
+                    values |= {"Health.Level": status.level[0], "Health.Message": status.message}
+            prefix = f"{valve.lstrip('/')}: "
+            own = [
+                (status.level[0], status.name.removeprefix(prefix), status.message)
+                for status in message.status
+                if status.name.startswith(prefix)
+            ]
+            if own:
+                level, words = worst(own)
+                values |= {"Driver.Level": level, "Driver.Message": words}
+            if values:
+                self._tell(Report(valve, utc(stamp), values))
+
+
+def hear_live(
+    interface: Interface, inbox: Inbox, seldom: Inbox, valve: str, take: Callable[[str, Any, Arrival], None]
+) -> None:
+    """Receive what a valve says often.
+
+    Args:
+        interface: subscribes. inbox: receives. seldom: receives the coil's current, which comes at the rate of the
+            valve and of which only the latest counts. valve: full name of its node.
+        take: is handed the topic's name, its value, and when it came.
+    """
+
+    def hear(place: Inbox, name: str, field: str) -> None:
+        interface.receive(
+            place,
+            f"{{valve}}/{name}",
+            lambda message, arrival: take(name, getattr(message, field), arrival),
+            valve=valve,
+        )
+
+    hear(inbox, "phase", "data")
+    hear(inbox, "is_open", "data")
+    hear(inbox, "outlet_pressure", "fluid_pressure")
+    hear(seldom, "coil_current", "data")

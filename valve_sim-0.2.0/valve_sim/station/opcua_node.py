@@ -1,0 +1,112 @@
+"""The ROS side of opcua_node: what monitors and valves publish goes to a `StationServer`, and its methods to services.
+
+Threads: one takes what has been heard ten times a second, which takes a fraction of what an executor needs for each
+message; the main one answers ROS; the server has one of its own.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+from std_srvs.srv import Trigger
+
+from valve_sim.files.parameter_sections import Section
+from valve_sim.model.errors import ValveError
+from valve_sim.nodes.diagnostics import Level, Status
+from valve_sim.nodes.messages import diagnostic_array
+from valve_sim.nodes.realtime import NANOSECONDS
+from valve_sim.nodes.threads import Repeating
+from valve_sim.nodes.wiring import Interface, RosNode, declared, full_name
+from valve_sim.station.alarms import Alarm
+from valve_sim.station.hearing import StationEar
+from valve_sim.station.opcua_server import ServedValve, ServerThread, Settings, StationServer
+from valve_sim.station.tables import OPCUA, OPCUA_TOPICS, OpcUaSettings, opcua_settings
+
+_PERIOD: Final = 0.1
+"""s between looks at what was heard."""
+_ANSWER_SECONDS: Final = 10.0
+"""s that a service may take to answer."""
+
+
+class OpcUaNode(RosNode):
+    """The node `opcua`, with the topics `tables.OPCUA_TOPICS` of each of `valves` and `monitors`.
+
+    Services called: <monitor>/recommission, <valve>/self_test. Parameters: `tables.OPCUA`; they are read once, at the
+    start.
+
+    Args:
+        sections: (file, section) of the parameter files on the command line.
+
+    Raises:
+        ValveError: a parameter cannot be used, or the server cannot start.
+    """
+
+    def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
+        super().__init__("opcua")
+        settings: OpcUaSettings = declared(self._node, sections, OPCUA, opcua_settings)
+        valves = [full_name(self._node, name, "valves") for name in settings.valves]
+        monitors = [full_name(self._node, name, "monitors") for name in settings.monitors]
+        self._services: dict[tuple[str, str], Any] = {}
+        for valve, monitor in zip(valves, monitors, strict=True):
+            self._services["recommission", valve] = self._node.create_client(Trigger, f"{monitor}/recommission")
+            self._services["self_test", valve] = self._node.create_client(Trigger, f"{valve}/self_test")
+        folder = Path(settings.folder).expanduser()
+        served = [ServedValve(*one) for one in zip(valves, settings.serial_numbers, strict=True)]
+        server = StationServer(
+            Settings(folder, settings.address, settings.port, settings.anonymous_read, settings.history_days),
+            served,
+            recommission=partial(self._call, "recommission"),
+            self_test=partial(self._call, "self_test"),
+            told=self._tell,
+        )
+        interface = Interface(self._node, OPCUA_TOPICS)
+        self._alarms = interface.publisher("~/alarms")
+        thread = ServerThread(server, self._fail)
+        thread.start()
+        ear = StationEar(self._node, self._clock, interface, valves, monitors, thread.put, is_live=True)
+        hearing = Repeating("hearing", ear.look, lambda: _PERIOD, self._fail)
+        hearing.start()
+        self._threads += (hearing, thread)
+        self._node.get_logger().info(
+            f"ready: {server.endpoint}, {len(served)} valves; clients connect whose certificates are in "
+            f"{folder / 'trusted'}; those of others are kept in {folder / 'rejected'}"
+        )
+
+    # --- in the server's thread ---
+
+    def _tell(self, valve: str, words: str, alarm: Alarm) -> None:
+        """Publish what a person did to an alarm, for whoever keeps it."""
+        values = {
+            "valve": valve,
+            "user": alarm.user,
+            "comment": alarm.comment,
+            "shelved": str(alarm.is_shelved).lower(),
+        }
+        status = Status(valve.lstrip("/"), Level(alarm.level), words, values)
+        if self._node.context.ok():
+            name = self._node.get_fully_qualified_name()
+            self._alarms.publish(diagnostic_array([status], name, round(alarm.time * NANOSECONDS)))
+
+    async def _call(self, name: str, valve: str) -> tuple[bool, str]:
+        client = self._services[name, valve]
+        if not client.service_is_ready():
+            return False, f"{client.srv_name}: no node offers this service; start it"
+        loop, done = asyncio.get_running_loop(), asyncio.Event()
+        future = client.call_async(Trigger.Request())
+        future.add_done_callback(lambda _: loop.call_soon_threadsafe(done.set))
+        try:
+            await asyncio.wait_for(done.wait(), _ANSWER_SECONDS)
+        except asyncio.TimeoutError:
+            return False, f"{client.srv_name}: has not answered within {_ANSWER_SECONDS:g} s"
+        answer = future.result()
+        return bool(answer.success), str(answer.message)
+
+    def _fail(self, error: Exception) -> None:
+        if isinstance(error, ValveError):  # a full disk, say: what is shown goes on when there is room again
+            self._node.get_logger().error(str(error), throttle_duration_sec=10.0)
+        else:
+            super()._fail(error)

@@ -1,0 +1,605 @@
+"""An OPC UA server of valves: variables, alarms with acknowledge, confirm and shelving, history, methods. Knows no ROS.
+
+    Objects / Station / <valve> / Health, Driver, Live, Stroke, Finding (the table of `figures`)
+                                / Alarm, Recommission, SelfTest, SerialNumber
+
+Node identifiers are text, "tank_1/valve.Stroke.T1", and stay the same from start to start.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import socket
+import uuid
+from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from asyncua import Server, ua, uamethod
+from asyncua.common.events import Event
+
+from valve_sim import __version__
+from valve_sim.files.whole_files import atomic_write
+from valve_sim.model.errors import ValveError
+from valve_sim.station.alarms import SEVERITIES, Alarm, Refusal, Shelving, load_alarms, save_alarms
+from valve_sim.station.figures import BY_PATH, FIGURES, Figure, Report, unit_id, unit_words, utc
+from valve_sim.station.loop_thread import LoopThread
+from valve_sim.station.opcua_history import History
+from valve_sim.station.opcua_security import Gate, NamingServer, Rules, caller, ensure_identity
+
+NAMESPACE: Final = "urn:valve_sim:station"
+"""The namespace of all nodes of this server."""
+_UNITS: Final = "http://www.opcfoundation.org/UA/units/un/cefact"
+_REFUSALS: Final = {
+    Refusal.UNKNOWN_EVENT: ua.StatusCodes.BadEventIdUnknown,
+    Refusal.ALREADY_ACKNOWLEDGED: ua.StatusCodes.BadConditionBranchAlreadyAcked,
+    Refusal.NOT_ACKNOWLEDGED: ua.StatusCodes.BadInvalidState,
+    Refusal.ALREADY_CONFIRMED: ua.StatusCodes.BadConditionBranchAlreadyConfirmed,
+    Refusal.ALREADY_SHELVED: ua.StatusCodes.BadConditionAlreadyShelved,
+    Refusal.NOT_SHELVED: ua.StatusCodes.BadConditionNotShelved,
+    Refusal.TIME_OUT_OF_RANGE: ua.StatusCodes.BadShelvingTimeOutOfRange,
+}
+_ANSWERS: Final = {"Acknowledge": 9111, "Confirm": 9113, "AddComment": 9029}
+"""Methods by which a person answers an alarm, and the node of each in the alarm's type, which clients call, too."""
+_SHELVES: Final = {"TimedShelve": 2949, "OneShotShelve": 2948, "Unshelve": 2947}
+"""Methods by which a person shelves an alarm, as `_ANSWERS`."""
+_DONE: Final = {
+    "Acknowledge": "acknowledged",
+    "Confirm": "confirmed",
+    "AddComment": "commented",
+    "TimedShelve": "shelved for a time",
+    "OneShotShelve": "shelved until it is inactive",
+    "Unshelve": "taken from the shelf",
+}
+"""What a person has done by each method, in words."""
+_SHELVED: Final = {
+    Shelving.UNSHELVED: ("Unshelved", 2930),
+    Shelving.TIMED: ("TimedShelved", 2932),
+    Shelving.ONE_SHOT: ("OneShotShelved", 2933),
+}
+"""Name and node of each state of shelving."""
+_BETWEEN_LOOKS: Final = 1.0
+"""s from one look for alarms that were shelved for long enough to the next."""
+
+Action = Callable[[str], Awaitable[tuple[bool, str]]]
+"""What a method does, given the valve: whether it was done, and what to say."""
+Told = Callable[[str, str, Alarm], None]
+"""Told the valve, what has been done to its alarm, in words, and the alarm since then."""
+
+
+class ServedValve(NamedTuple):
+    """A valve that is served: full name of its node, and the serial number of the part."""
+
+    name: str
+    serial_number: str = ""
+
+    @property
+    def identifier(self) -> str:
+        """How its nodes' identifiers begin: the name without its first slash."""
+        return self.name.lstrip("/")
+
+
+class Settings(NamedTuple):
+    """How the server is reached, and what it keeps.
+
+    Attributes:
+        folder: of certificates, history and alarms. address, port: that it listens on.
+        allows_anonymous: whether clients without a certificate may read, without encryption.
+        days: of history that are kept.
+    """
+
+    folder: Path
+    address: str = "0.0.0.0"
+    port: int = 4840
+    allows_anonymous: bool = False
+    days: float = 3650.0
+
+
+class StationServer:
+    """The server; every method is to be called in the event loop that started it.
+
+    Args:
+        settings: how it is reached. valves: that are served.
+        recommission, self_test: what the methods of a valve do; default: they say that nobody does it.
+        told: called in the server's thread when a person has answered or shelved an alarm, or its shelving is over.
+    """
+
+    def __init__(
+        self, settings: Settings, valves: Sequence[ServedValve], *,
+        recommission: Action | None = None, self_test: Action | None = None,
+        told: Told = lambda valve, words, alarm: None,
+    ) -> None:  # fmt: skip
+        self._told = told
+        self._settings, self._valves = settings, tuple(valves)
+        self._actions = {"Recommission": recommission or _nobody, "SelfTest": self_test or _nobody}
+        self._alarms_file = settings.folder / "alarms.json"
+        self._index = 0
+        self._alarms: dict[str, Alarm] = {}
+        self._server: Any = None
+        self._history: Any = None
+        self._writing = asyncio.Lock()
+        self._watching: asyncio.Task[None] | None = None
+
+    @property
+    def endpoint(self) -> str:
+        """The address for clients on this machine."""
+        return f"opc.tcp://{_host(self._settings.address)}:{self._settings.port}/valve_sim/"
+
+    def alarm(self, valve: str) -> Alarm:
+        """The state of a valve's alarm."""
+        return self._alarms[valve]
+
+    async def start(self) -> None:
+        """Make what is missing, show what was known last, and listen.
+
+        Raises:
+            ValveError: a file cannot be used, or the port is taken.
+        """
+        settings = self._settings
+        uri = f"{NAMESPACE}:{socket.gethostname()}"
+        identity = await asyncio.to_thread(ensure_identity, settings.folder, uri)
+        kept = await asyncio.to_thread(load_alarms, self._alarms_file)
+        self._alarms = {valve.name: kept.get(valve.name, Alarm()) for valve in self._valves}
+        gate = Gate(settings.folder, allows_anonymous=settings.allows_anonymous)
+        self._server = server = Server(iserver=NamingServer(user_manager=gate))
+        server.iserver.bind_condition_methods = SEVERITIES[0]  # of the events before and after a refresh
+        await server.init()
+        server.name, server.manufacturer_name = "valve_sim station", "valve_sim"
+        server.set_endpoint(f"opc.tcp://{settings.address}:{settings.port}/valve_sim/")
+        await server.set_application_uri(uri)
+        now = datetime.now(timezone.utc)
+        await server.set_build_info("urn:valve_sim", "valve_sim", server.name, __version__, "0", now)
+        policies = [ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt]
+        if settings.allows_anonymous:
+            policies.append(ua.SecurityPolicyType.NoSecurity)
+        server.set_security_policy(policies, Rules())
+        server.set_identity_tokens([ua.AnonymousIdentityToken])
+        server.iserver.certificate_validator = gate
+        await server.load_certificate(identity.certificate)
+        await server.load_private_key(identity.key)
+        self._history = History(settings.folder / "history.db", _FIELDS, settings.days)
+        server.iserver.history_manager.set_storage(self._history)
+        try:
+            await self._history.init()
+            self._index = await server.register_namespace(NAMESPACE)
+            await self._make_nodes()
+            await self._history.prune(now)
+            await self._write_model(settings.folder / "valve_sim.NodeSet2.xml")
+            await server.start()
+        except OSError as error:
+            await self._end()
+            raise ValveError(
+                f"port {settings.port} of {settings.address}: cannot be listened on ({error.strerror or error}); "
+                "choose another by the parameter port"
+            ) from error
+        except BaseException:
+            await self._end()
+            raise
+        for valve in self._valves:
+            if self._alarms[valve.name].is_retained:
+                await self._tell(valve, self._alarms[valve.name], is_new=False)
+        self._watching = asyncio.create_task(self._watch_shelves())
+
+    async def stop(self) -> None:
+        """Say goodbye to the clients and close all files."""
+        if self._watching is not None:
+            self._watching.cancel()
+        async with self._writing:
+            await self._server.stop()
+
+    async def put(self, report: Report) -> None:
+        """Show what was said of a valve, with the time of which it was said.
+
+        What is kept is on the disk first. A report on a valve that is not served changes nothing.
+
+        Raises:
+            ValveError: the history cannot be written.
+        """
+        valve = next((valve for valve in self._valves if valve.name == report.valve), None)
+        if valve is None:
+            return
+        values = {
+            self._node_id(valve, path): _data_value(BY_PATH[path], value, report.time)
+            for path, value in report.values.items()
+        }
+        kept = {self._node_id(valve, path) for path in report.values if BY_PATH[path].is_kept}
+        async with self._writing:
+            if kept:
+                await self._history.save_values({node: value for node, value in values.items() if node in kept})
+            for node, value in values.items():
+                await self._server.write_attribute_value(node, value)
+            level = report.values.get("Health.Level")
+            if isinstance(level, int):
+                message = str(report.values.get("Health.Message") or "")
+                changed = self._alarms[valve.name].reported(level, message, report.time.timestamp(), _new_event())
+                if changed is not None:
+                    await self._change(valve, changed)
+
+    # --- the address space ---
+
+    def _node_id(self, valve: ServedValve, path: str = "") -> Any:
+        return ua.NodeId(f"{valve.identifier}.{path}" if path else valve.identifier, self._index)
+
+    def _name(self, name: str) -> Any:
+        return ua.QualifiedName(name, self._index)
+
+    async def _make_nodes(self) -> None:
+        kind = await self._make_type()
+        objects, server = self._server.nodes.objects, self._server.nodes.server
+        refresh = self._server.get_node(ua.ObjectIds.ConditionType_ConditionRefresh)
+        self._server.link_method(refresh, self._refresh())
+        station = await objects.add_folder(ua.NodeId("Station", self._index), self._name("Station"))
+        for valve in self._valves:
+            node = await station.add_object(
+                self._node_id(valve), self._name(valve.identifier), objecttype=kind.nodeid, instantiate_optional=False
+            )
+            await server.add_reference(node, ua.ObjectIds.HasNotifier)
+            await self._fill(valve, node)
+
+    async def _make_type(self) -> Any:
+        """The type of all valves, so that a client's screens can be made for the type."""
+        base = self._server.get_node(ua.ObjectIds.BaseObjectType)
+        kind = await base.add_object_type(ua.NodeId("ValveType", self._index), self._name("ValveType"))
+        groups: dict[str, Any] = {}
+        serial = await kind.add_property(
+            ua.NodeId("ValveType.SerialNumber", self._index), self._name("SerialNumber"), "", ua.VariantType.String
+        )
+        await serial.set_modelling_rule(True)
+        for figure in FIGURES:
+            if figure.group not in groups:
+                identifier = ua.NodeId(f"ValveType.{figure.group}", self._index)
+                groups[figure.group] = await kind.add_object(identifier, self._name(figure.group))
+                await groups[figure.group].set_modelling_rule(True)
+            await self._add_figure(groups[figure.group], figure)
+        for name, words in (
+            ("Recommission", "Take the next strokes as the new baseline of the monitor."),
+            ("SelfTest", "One stroke of a copy of the simulated valve; the real one does not move."),
+        ):
+            outputs = [_argument("Done", ua.ObjectIds.Boolean), _argument("Message", ua.ObjectIds.String)]
+            method = await kind.add_method(
+                ua.NodeId(f"ValveType.{name}", self._index), self._name(name), self._act(name), [], outputs
+            )
+            await method.write_attribute(ua.AttributeIds.Description, _text(words))
+            await method.set_modelling_rule(True)
+        return kind
+
+    async def _add_figure(self, group: Any, figure: Figure) -> None:
+        identifier = ua.NodeId(f"ValveType.{figure.path}", self._index)
+        variant = _variant(figure, None)
+        node = await group.add_variable(identifier, self._name(figure.name), variant)
+        await node.write_attribute(ua.AttributeIds.Description, _text(figure.description))
+        if figure.is_list:
+            await node.write_value_rank(ua.ValueRank.OneDimension)
+        if figure.unit:
+            unit = ua.EUInformation(
+                NamespaceUri=_UNITS, UnitId=unit_id(figure.unit), DisplayName=ua.LocalizedText(figure.unit),
+                Description=ua.LocalizedText(unit_words(figure.unit)),
+            )  # fmt: skip
+            place = ua.NodeId(f"ValveType.{figure.path}.EngineeringUnits", self._index)
+            added = await node.add_property(place, ua.QualifiedName("EngineeringUnits", 0), unit)
+            await added.set_modelling_rule(True)
+        await node.set_modelling_rule(True)
+
+    async def _fill(self, valve: ServedValve, node: Any) -> None:
+        """A valve's history, alarm and methods, and what was known last."""
+        await (await node.get_child(self._name("SerialNumber"))).write_value(valve.serial_number)
+        await node.set_event_notifier([ua.EventNotifier.SubscribeToEvents, ua.EventNotifier.HistoryRead])
+        await self._history.add_source(node.nodeid)
+        access = {ua.AccessLevel.CurrentRead, ua.AccessLevel.HistoryRead}
+        for figure in FIGURES:
+            place = self._node_id(valve, figure.path)
+            variable = self._server.get_node(place)
+            if not figure.is_kept:
+                await self._server.write_attribute_value(place, _data_value(figure, None, datetime.now(timezone.utc)))
+                continue
+            await self._history.add_variable(place)
+            for attribute in (ua.AttributeIds.AccessLevel, ua.AttributeIds.UserAccessLevel):
+                bits = ua.Variant(ua.AccessLevel.to_bitfield(access), ua.VariantType.Byte)
+                await variable.write_attribute(attribute, ua.DataValue(bits))
+            await variable.write_attribute(ua.AttributeIds.Historizing, ua.DataValue(True))
+            last = await self._history.last_value(place) or _data_value(figure, None, datetime.now(timezone.utc))
+            await self._server.write_attribute_value(place, last)
+        for name in self._actions:
+            self._server.link_method(self._server.get_node(self._node_id(valve, name)), self._act(name))
+        await self._make_alarm(valve, node)
+
+    async def _make_alarm(self, valve: ServedValve, node: Any) -> None:
+        alarm = await node.add_object(
+            self._node_id(valve, "Alarm"), self._name("Alarm"), objecttype=ua.ObjectIds.AlarmConditionType,
+            instantiate_optional=False,
+        )  # fmt: skip
+        await node.add_reference(alarm, ua.ObjectIds.HasCondition)
+        state = await alarm.add_variable(
+            self._node_id(valve, "Alarm.ConfirmedState"), ua.QualifiedName("ConfirmedState", 0), _localized("")
+        )
+        await state.add_property(
+            self._node_id(valve, "Alarm.ConfirmedState.Id"), ua.QualifiedName("Id", 0), True, ua.VariantType.Boolean
+        )
+        arguments = [_argument("EventId", ua.ObjectIds.ByteString), _argument("Comment", ua.ObjectIds.LocalizedText)]
+        await alarm.add_method(
+            self._node_id(valve, "Alarm.Confirm"),
+            ua.QualifiedName("Confirm", 0),
+            self._answer("Confirm"),
+            arguments,
+            [],
+        )
+        for name, of_type in _ANSWERS.items():
+            for place in (self._node_id(valve, f"Alarm.{name}"), ua.NodeId(of_type)):
+                self._server.link_method(self._server.get_node(place), self._answer(name))
+        await alarm.add_object(
+            self._node_id(valve, "Alarm.ShelvingState"), ua.QualifiedName("ShelvingState", 0),
+            objecttype=ua.ObjectIds.ShelvedStateMachineType, instantiate_optional=False,
+        )  # fmt: skip
+        for name, of_type in _SHELVES.items():
+            for place in (self._node_id(valve, f"Alarm.ShelvingState.{name}"), ua.NodeId(of_type)):
+                self._server.link_method(self._server.get_node(place), self._shelve(name))
+        await self._show(valve, self._alarms[valve.name])
+
+    async def _watch_shelves(self) -> None:
+        """Take alarms from the shelf when their time is over, as long as the server runs."""
+        while True:
+            await asyncio.sleep(_BETWEEN_LOOKS)
+            now = datetime.now(timezone.utc).timestamp()
+            for valve in self._valves:
+                async with self._writing:
+                    alarm = self._alarms[valve.name]
+                    if alarm.shelving is not Shelving.TIMED:
+                        continue
+                    if (found := alarm.expired(now, _new_event())) is None:
+                        await self._show(valve, alarm)  # how long it is still shelved
+                        continue
+                    with contextlib.suppress(ValveError):  # a full disk, say: tried again at the next look
+                        await self._change(valve, found)
+                        self._told(valve.name, "taken from the shelf: its time is over", found)
+
+    async def _write_model(self, path: Path) -> None:
+        with atomic_write(path) as partial:
+            await self._server.export_xml_by_ns(str(partial), [self._index])
+
+    # --- methods ---
+
+    def _act(self, name: str) -> Callable[..., Coroutine[Any, Any, Any]]:
+        @uamethod
+        async def act(parent: Any) -> Any:
+            valve = next((valve for valve in self._valves if self._node_id(valve) == parent), None)
+            if valve is None:
+                return ua.StatusCode(ua.StatusCodes.BadNodeIdInvalid)
+            return await self._actions[name](valve.name)
+
+        return act  # type: ignore[no-any-return]
+
+    def _answer(self, name: str) -> Callable[..., Coroutine[Any, Any, Any]]:
+        async def answer(parent: Any, seen: Any, comment: Any) -> Any:
+            valve = next((valve for valve in self._valves if self._node_id(valve, "Alarm") == parent), None)
+            if valve is None:
+                return ua.StatusCode(ua.StatusCodes.BadNodeIdInvalid)
+            words = comment.Value.Text if comment.Value is not None else None
+            event = (seen.Value or b"").decode("ascii", "replace")
+
+            def answered(alarm: Alarm, now: float) -> Alarm | Refusal:
+                answers = {"Acknowledge": alarm.acknowledge, "Confirm": alarm.confirm, "AddComment": alarm.commented}
+                return answers[name](event, words or "", caller(), now, _new_event())
+
+            return await self._told_by_a_person(valve, _DONE[name], answered)
+
+        return answer
+
+    def _shelve(self, name: str) -> Callable[..., Coroutine[Any, Any, Any]]:
+        async def shelve(parent: Any, *given: Any) -> Any:
+            valve = next(
+                (valve for valve in self._valves if self._node_id(valve, "Alarm.ShelvingState") == parent), None
+            )
+            if valve is None:
+                return ua.StatusCode(ua.StatusCodes.BadNodeIdInvalid)
+
+            def shelved(alarm: Alarm, now: float) -> Alarm | Refusal:
+                if name == "Unshelve":
+                    return alarm.unshelve(caller(), now, _new_event())
+                seconds = 1e-3 * given[0].Value if name == "TimedShelve" else None
+                return alarm.shelve(seconds, caller(), now, _new_event())
+
+            return await self._told_by_a_person(valve, _DONE[name], shelved)
+
+        return shelve
+
+    def _refresh(self) -> Callable[..., Coroutine[Any, Any, Any]]:
+        """Sends a subscription every alarm that is retained, whether it listens to the server or to a valve.
+
+        asyncua's own sends what was last sent to the server's listeners alone.
+        """
+
+        @uamethod
+        async def refresh(parent: Any, subscription: int) -> Any:
+            service = self._server.iserver.subscription_service
+            if subscription not in service.subscriptions:
+                return ua.StatusCode(ua.StatusCodes.BadSubscriptionIdInvalid)
+            begin, end = (
+                service.standard_events[kind]
+                for kind in (ua.ObjectIds.RefreshStartEventType, ua.ObjectIds.RefreshEndEventType)
+            )
+            async with self._writing:
+                await begin.trigger(subscription_id=subscription)
+                for valve in self._valves:
+                    if self._alarms[valve.name].is_retained:
+                        await self._send(valve, self._alarms[valve.name], subscription)
+                await end.trigger(subscription_id=subscription)
+            return None
+
+        return refresh  # type: ignore[no-any-return]
+
+    async def _told_by_a_person(
+        self, valve: ServedValve, done: str, change: Callable[[Alarm, float], Alarm | Refusal]
+    ) -> Any:
+        """What a method that changes an alarm returns; the change is kept before it is shown."""
+        async with self._writing:
+            found = change(self._alarms[valve.name], datetime.now(timezone.utc).timestamp())
+            if isinstance(found, Refusal):
+                return ua.StatusCode(_REFUSALS[found])
+            try:
+                await self._change(valve, found)
+            except ValveError:
+                return ua.StatusCode(ua.StatusCodes.BadResourceUnavailable)
+            self._told(valve.name, f"{done} by {found.user}", found)
+        return []
+
+    # --- alarms ---
+
+    async def _change(self, valve: ServedValve, alarm: Alarm) -> None:
+        """Keep an alarm, then show and tell it."""
+        alarms = {**self._alarms, valve.name: alarm}
+        await asyncio.to_thread(save_alarms, self._alarms_file, alarms)
+        self._alarms = alarms
+        await self._tell(valve, alarm, is_new=True)
+
+    async def _show(self, valve: ServedValve, alarm: Alarm) -> None:
+        for path, variant in _fields(alarm).items():
+            place = self._node_id(valve, f"Alarm.{path.replace('/', '.')}")
+            if place in self._server.iserver.aspace:
+                await self._server.write_attribute_value(place, ua.DataValue(variant, SourceTimestamp=utc(alarm.time)))
+
+    async def _tell(self, valve: ServedValve, alarm: Alarm, *, is_new: bool) -> None:
+        """Show an alarm and send its event: to who subscribes to the valve, then to who subscribes to the server."""
+        await self._show(valve, alarm)
+        event = self._event(valve, alarm)
+        if is_new:
+            await self._history.save_alarm(self._node_id(valve), event)
+        await self._send(valve, alarm, None)
+
+    async def _send(self, valve: ServedValve, alarm: Alarm, subscription: int | None) -> None:
+        """Send an alarm's event to one subscription, or to all."""
+        service = self._server.iserver.subscription_service
+        for emitter in (self._node_id(valve), ua.NodeId(ua.ObjectIds.Server)):
+            sent = self._event(valve, alarm)
+            sent.emitting_node = emitter
+            await service.trigger_event(sent, subscription)
+
+    def _event(self, valve: ServedValve, alarm: Alarm) -> Any:
+        event = Event(self._node_id(valve))
+        fields = {
+            "NodeId": ua.Variant(self._node_id(valve, "Alarm"), ua.VariantType.NodeId),
+            "SourceNode": ua.Variant(self._node_id(valve), ua.VariantType.NodeId),
+            "SourceName": ua.Variant(valve.identifier, ua.VariantType.String),
+            "ReceiveTime": ua.Variant(datetime.now(timezone.utc), ua.VariantType.DateTime),
+            **_fields(alarm),
+        }
+        for name, variant in fields.items():
+            event.add_property(name, variant.Value, variant.VariantType)
+        return event
+
+    async def _end(self) -> None:
+        """Close what was opened of a server that does not start."""
+        if self._history is not None and self._history._db is not None:
+            await self._history.stop()
+
+
+class ServerThread(LoopThread):
+    """A server in a thread of its own, for callers that have no event loop.
+
+    Args:
+        server: is started. fail: is told of an error after the start, in the server's thread.
+    """
+
+    def __init__(self, server: StationServer, fail: Callable[[Exception], None]) -> None:
+        super().__init__("opcua", server)
+        self._server, self._fail = server, fail
+
+    def put(self, report: Report) -> None:
+        """Hand a report over; it is shown soon."""
+        self.run(self._put(report))
+
+    async def _put(self, report: Report) -> None:
+        try:
+            await self._server.put(report)
+        except Exception as error:
+            self._fail(error)
+
+
+def _fields(alarm: Alarm) -> Mapping[str, Any]:
+    """The fields of an alarm that its node shows and its events carry."""
+    texts, flags = ua.VariantType.LocalizedText, ua.VariantType.Boolean
+    fields = {
+        "EventId": ua.Variant(alarm.event.encode("ascii"), ua.VariantType.ByteString),
+        "EventType": ua.Variant(ua.NodeId(ua.ObjectIds.AlarmConditionType), ua.VariantType.NodeId),
+        "Time": ua.Variant(utc(alarm.time), ua.VariantType.DateTime),
+        "Message": ua.Variant(ua.LocalizedText(alarm.message), texts),
+        "Severity": ua.Variant(alarm.severity, ua.VariantType.UInt16),
+        "LastSeverity": ua.Variant(alarm.last_severity, ua.VariantType.UInt16),
+        "ConditionName": ua.Variant("Health", ua.VariantType.String),
+        "ConditionClassId": ua.Variant(ua.NodeId(ua.ObjectIds.MaintenanceConditionClassType), ua.VariantType.NodeId),
+        "ConditionClassName": ua.Variant(ua.LocalizedText("MaintenanceConditionClassType"), texts),
+        "BranchId": ua.Variant(ua.NodeId(), ua.VariantType.NodeId),
+        "Retain": ua.Variant(alarm.is_retained, flags),
+        "Quality": ua.Variant(ua.StatusCode(ua.StatusCodes.Good), ua.VariantType.StatusCode),
+        "Comment": ua.Variant(ua.LocalizedText(alarm.comment), texts),
+        "ClientUserId": ua.Variant(alarm.user, ua.VariantType.String),
+        "SuppressedOrShelved": ua.Variant(alarm.is_shelved, flags),
+        "ShelvingState/CurrentState": ua.Variant(ua.LocalizedText(_SHELVED[alarm.shelving][0]), texts),
+        "ShelvingState/CurrentState/Id": ua.Variant(ua.NodeId(_SHELVED[alarm.shelving][1]), ua.VariantType.NodeId),
+        "ShelvingState/UnshelveTime": ua.Variant(_left(alarm), ua.VariantType.Double),
+    }
+    for name, is_so, words in (
+        ("EnabledState", True, ("Enabled", "Disabled")),
+        ("ActiveState", alarm.active, ("Active", "Inactive")),
+        ("AckedState", alarm.acknowledged, ("Acknowledged", "Unacknowledged")),
+        ("ConfirmedState", alarm.confirmed, ("Confirmed", "Unconfirmed")),
+    ):
+        fields[name] = ua.Variant(ua.LocalizedText(words[0] if is_so else words[1]), texts)
+        fields[f"{name}/Id"] = ua.Variant(is_so, flags)
+    return fields
+
+
+def _left(alarm: Alarm) -> float:
+    """Ms for which an alarm is still shelved, as OPC UA has it; the longest duration where that is not for a time."""
+    if alarm.shelving is Shelving.ONE_SHOT:
+        return float(2**53)
+    return max(0.0, 1e3 * (alarm.shelved_until - datetime.now(timezone.utc).timestamp())) if alarm.is_shelved else 0.0
+
+
+_FIELDS: Final = ("NodeId", "SourceNode", "SourceName", "ReceiveTime", *_fields(Alarm()))
+"""All fields of an alarm's event."""
+
+
+def _variant(figure: Figure, value: object) -> Any:
+    """A value as OPC UA has it; of one that is not known NaN, 0 or nothing."""
+    kind = ua.VariantType[figure.kind]
+    if value is None:
+        value = [] if figure.is_list else {"Double": math.nan, "Int32": 0, "Boolean": False, "String": ""}[figure.kind]
+    if figure.is_list:
+        assert isinstance(value, list)
+        return ua.Variant(list(value), kind, is_array=True)
+    convert: Any = {"Double": float, "Int32": int, "Boolean": bool, "String": str}[figure.kind]
+    return ua.Variant(convert(value), kind)
+
+
+def _data_value(figure: Figure, value: object, time: datetime) -> Any:
+    status = ua.StatusCode(ua.StatusCodes.Good if value is not None else ua.StatusCodes.BadNoData)
+    return ua.DataValue(
+        _variant(figure, value), status, SourceTimestamp=time, ServerTimestamp=datetime.now(timezone.utc)
+    )
+
+
+def _argument(name: str, kind: int) -> Any:
+    return ua.Argument(Name=name, DataType=ua.NodeId(kind), ValueRank=ua.ValueRank.Scalar)
+
+
+def _localized(words: str) -> Any:
+    return ua.Variant(ua.LocalizedText(words), ua.VariantType.LocalizedText)
+
+
+def _text(words: str) -> Any:
+    return ua.DataValue(_localized(words))
+
+
+def _new_event() -> str:
+    return uuid.uuid4().hex
+
+
+def _host(address: str) -> str:
+    return "localhost" if address in ("0.0.0.0", "::") else address
+
+
+async def _nobody(valve: str) -> tuple[bool, str]:
+    return False, f"{valve}: nothing that could do this is connected"

@@ -1,0 +1,111 @@
+"""A recording that was put together in Python is checked once, where an identification, a diagnosis or a replay begins.
+
+Recordings that were read from files have been checked by their readers; this takes them a fraction of a millisecond.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from valve_sim.model import Drive
+from valve_sim.signals.long_columns import places_in
+from valve_sim.traces.errors import TraceError
+from valve_sim.traces.trace import Signal, Trace
+
+SIGNALS: Final = (
+    "coil_current", "coil_voltage", "acceleration", "inlet_pressure", "outlet_pressure", "demand_pressure",
+    "coil_temperature",
+)  # fmt: skip
+"""What a trace may have beside positions, each with its own times."""
+FEWEST: Final = 3
+"""Samples of what a valve is judged by: fewer have no rate and no noise."""
+
+
+def check_traces(traces: Sequence[Trace]) -> None:
+    """Recordings that identification can use.
+
+    Raises:
+        TraceError: one cannot; one line says which column, what was found and where.
+    """
+    if isinstance(traces, Trace):
+        raise TraceError(f"{traces.source}: found one recording, expected a list of them: [trace]")
+    if not len(traces):
+        raise TraceError("no recording was given, expected at least one")
+    for index, trace in enumerate(traces):
+        if not isinstance(trace, Trace):
+            raise TraceError(f"recording {index + 1}: found {type(trace).__name__}, expected a valve_sim.traces.Trace")
+        _check_trace(trace)
+
+
+def _check_trace(trace: Trace) -> None:
+    where = f"{trace.source}: "
+    if not isinstance(trace.drive, Drive):
+        raise TraceError(f"{where}drive: found {type(trace.drive).__name__}, expected a valve_sim.model.Drive")
+    _check_series(f"{where}drive.times", trace.drive.times, f"{where}drive.volts", trace.drive.volts)
+    if not len(trace.drive.times):
+        raise TraceError(f"{where}drive: found no command, expected at least one, or nothing moves the valve")
+    _check_series(f"{where}times", trace.times, f"{where}pilot_position", trace.pilot_position, rises=True)
+    if trace.main_position is not None:
+        _check_series(f"{where}times", trace.times, f"{where}main_position", trace.main_position, rises=True)
+    for name in SIGNALS:
+        signal = getattr(trace, name)
+        if signal is None:
+            continue
+        if not isinstance(signal, Signal):
+            raise TraceError(f"{where}{name}: found {type(signal).__name__}, expected a valve_sim.traces.Signal")
+        _check_series(f"{where}{name}.times", signal.times, f"{where}{name}.values", signal.values)
+    if not trace.has_positions and trace.coil_current is None and trace.outlet_pressure is None:
+        raise TraceError(f"{where}found neither positions nor coil_current nor outlet_pressure, expected one of them")
+    if len(trace.sample_times) < FEWEST:
+        raise TraceError(
+            f"{where}found {len(trace.sample_times)} samples of the {trace.primary_signal}, expected {FEWEST}"
+        )
+
+
+def _check_series(of_times: str, times: object, of_values: str, values: object, *, rises: bool = False) -> None:
+    """Times and values of one length, finite, and in order of time; strictly where they rise."""
+    for name, column in ((of_times, times), (of_values, values)):
+        problem = problem_of_column(column)
+        if problem:
+            raise TraceError(f"{name}: {problem}")
+    assert isinstance(times, np.ndarray)
+    assert isinstance(values, np.ndarray)
+    if len(times) != len(values):
+        raise TraceError(f"{of_values}: found {len(values)} values, expected {len(times)}, one for each of the times")
+    problem = problem_of_order(times, rises=rises)
+    if problem:
+        raise TraceError(f"{of_times}: {problem}")
+
+
+def problem_of_column(column: object, count: int | None = None, *, is_finite: bool = True) -> str:
+    """What is wrong with a column of real numbers, in words; empty where nothing is.
+
+    Args:
+        column: anything. count: how many numbers are expected; None for any. is_finite: whether all have to be finite.
+    """
+    if not isinstance(column, np.ndarray):
+        return f"found {type(column).__name__}, expected a numpy array of shape (n,) and dtype float64"
+    if column.ndim != 1 or (count is not None and len(column) != count):
+        return f"found shape {column.shape}, expected ({'n' if count is None else count},)"
+    if not np.issubdtype(column.dtype, np.floating):
+        return f"found dtype {column.dtype}, expected float64"
+    bad = places_in(len(column) if is_finite else 0, lambda own: ~np.isfinite(column[own]))
+    if len(bad):
+        return f"found {column[bad[0]]} at index {bad[0]} ({len(bad)} in all), expected finite numbers"
+    return ""
+
+
+def problem_of_order(times: np.ndarray, *, rises: bool) -> str:
+    """What is wrong with the order of times, in words; empty where nothing is."""
+    late, early = times[1:], times[:-1]
+    back = places_in(
+        len(late), (lambda own: late[own] <= early[own]) if rises else (lambda own: late[own] < early[own])
+    )
+    if not len(back):
+        return ""
+    order = "strictly ascending" if rises else "ascending"
+    at = int(back[0]) + 1
+    return f"found {times[at]:.9g} s after {times[at - 1]:.9g} s at index {at}, expected {order} times"

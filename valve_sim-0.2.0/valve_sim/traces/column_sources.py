@@ -1,0 +1,253 @@
+"""Where the numbers of a machine's map come from: columns of a table, or fields of the messages of a bag."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valve_sim.files.data_tables import TABLE_SUFFIXES, DataTable, open_table
+from valve_sim.files.plant_files import one_line
+from valve_sim.files.recording_map import CLOCKS, MapError, Source
+from valve_sim.model.core.own.units import Unit, UnitError, parse_unit
+from valve_sim.traces.clocks import SECOND
+from valve_sim.traces.errors import TraceError
+from valve_sim.traces.message_fields import missing_field, stamps_of, values_of
+from valve_sim.traces.storage import Recording, read_recording
+
+Array = NDArray[np.float64]
+
+TIME_KEYS: Final = ("column", "unit", "rate")
+FEWEST: Final = 3
+"""Samples of different times, of which a quantity has at least so many."""
+
+
+class MapReader:
+    """Reads the entries of a map, whose errors name its file and the key."""
+
+    def __init__(self, where: str) -> None:
+        self.where = where
+
+    def fail(self, key: str, words: str) -> MapError:
+        """An error of a key, to be raised."""
+        return MapError(one_line(f"{self.where}: {key}: {words}" if key else f"{self.where}: {words}"))
+
+    def check_keys(self, key: str, entry: Mapping[Any, Any], known: Sequence[str]) -> None:
+        """Refuse keys that are not known."""
+        for own in entry:
+            if own not in known:
+                raise self.fail(f"{key}.{own}", f"unknown key; expected one of {', '.join(known)}")
+
+    def number(self, key: str, found: object) -> float:
+        """A finite number."""
+        if isinstance(found, bool) or not isinstance(found, int | float) or not math.isfinite(found):
+            raise self.fail(key, f"found {short(found)}, expected a finite number")
+        return float(found)
+
+    def choice(self, key: str, found: object, known: Sequence[object]) -> Any:
+        """One of a few values."""
+        if isinstance(found, bool) or found not in known:
+            raise self.fail(key, f"found {short(found)}, expected {' or '.join(map(str, known))}")
+        return found
+
+    def text(self, key: str, found: object) -> str:
+        """A text; YAML may have read it as a number."""
+        text = str(found) if isinstance(found, int) and not isinstance(found, bool) else found
+        if not isinstance(text, str):
+            raise self.fail(key, f"found {short(found)}, expected a name")
+        return text
+
+    def unit(self, key: str, entry: Mapping[str, Any]) -> Unit | None:
+        """The unit of an entry; None where it names none."""
+        if "unit" not in entry:
+            return None
+        text = "1" if entry["unit"] == 1 else entry["unit"]
+        if not isinstance(text, str):
+            raise self.fail(f"{key}.unit", f"found {short(text)}, expected a text such as mm")
+        try:
+            return parse_unit(text)
+        except UnitError as error:
+            raise self.fail(f"{key}.unit", str(error)) from error
+
+
+class Series(NamedTuple):
+    """Numbers as they were recorded: where, for messages; (n,) times, s, strictly ascending; (n,) NaN where empty."""
+
+    label: str
+    times: Array
+    readings: Array
+
+
+class ColumnSource(Protocol):
+    """A recording out of which a map's entries are read.
+
+    Attributes:
+        keys: of an entry, that say where its numbers are. findings: what was dropped, a line each.
+    """
+
+    keys: Sequence[str]
+    findings: list[str]
+
+    def series(self, key: str, entry: Mapping[str, Any]) -> Series:
+        """The numbers of one entry."""
+
+
+def source_of(
+    path: Path, map_reader: MapReader, found: Mapping[Any, Any] | None
+) -> tuple[ColumnSource, Mapping[Any, Any]]:
+    """The recording, opened, and the entries of its map.
+
+    Args:
+        found: the map; None: every column of a table by its own name, with `time` or the first column as time in s.
+
+    Raises:
+        ValveError: neither a table nor a bag; no map for a bag; no times.
+    """
+    if path.suffix.lower() in TABLE_SUFFIXES:
+        table = open_table(path)
+        if found is None:
+            time = "time" if "time" in table.names else table.names[0]
+            found = {"time": {"column": time}, **{name: {"column": name} for name in table.names if name != time}}
+        rows = TableRows(path, table, map_reader, found.get("time"))
+        return rows, {name: own for name, own in found.items() if name not in ("time", "use")}
+    if found is None:
+        raise TraceError(f"{path}: is no table; expected one of {', '.join(TABLE_SUFFIXES)}, or a bag with --map")
+    if "time" in found:
+        raise map_reader.fail("time", "is for tables; messages of a bag have their own: clock: header or clock: bag")
+    entries = {name: own for name, own in found.items() if name not in ("clock", "use")}
+    return BagTopics(path, map_reader, entries, found.get("clock", "")), entries
+
+
+class TableRows:
+    """The columns of a table, which share the times of its rows."""
+
+    keys: Sequence[str] = ("column",)
+
+    def __init__(self, path: Path, table: DataTable, map_reader: MapReader, time: object) -> None:
+        self._path, self._table, self._map = path, table, map_reader
+        self.findings: list[str] = []
+        self._times, self._kept = self._read_times(time)
+
+    def series(self, key: str, entry: Mapping[str, Any]) -> Series:
+        """The numbers of a column."""
+        if "column" not in entry:
+            raise self._map.fail(key, "names no column; add column:")
+        label = self._named(f"{key}.column", entry["column"])
+        return Series(f"column {label}", self._times, self._table.column(label)[self._kept])
+
+    def _named(self, key: str, name: object) -> str:
+        text, names = self._map.text(key, name), self._table.names
+        if text not in names and not (text.isdigit() and 1 <= int(text) <= len(names)):
+            raise self._map.fail(
+                key, f"column {text} is not in {self._path}; it has {', '.join(names[:20])}; name one of these"
+            )
+        return text
+
+    def _read_times(self, found: object) -> tuple[Array, NDArray[np.bool_]]:
+        """(n,) the times of the rows that count, s, and which of the table's rows these are."""
+        if found is None:
+            raise self._map.fail("time", "is missing; add time: {column: t, unit: s} or time: {rate: 1000}")
+        if isinstance(found, str | int) and not isinstance(found, bool):
+            found = {"column": found}
+        if not isinstance(found, Mapping):
+            raise self._map.fail("time", f"found {short(found)}, expected {{column: t, unit: s}} or {{rate: 1000}}")
+        self._map.check_keys("time", found, TIME_KEYS)
+        if ("rate" in found) == ("column" in found):
+            raise self._map.fail("time", f"found {short(dict(found))}, expected either column: or rate:")
+        if "rate" in found:
+            rate = self._map.number("time.rate", found["rate"])
+            if rate <= 0.0:
+                raise self._map.fail("time.rate", f"found {rate:g}, expected rows a second above 0")
+            count = len(self._table.column(self._table.names[0]))
+            return np.arange(count) / rate, np.ones(count, dtype=bool)
+        unit = self._map.unit("time", found) or parse_unit("s")
+        if unit.dimension != parse_unit("s").dimension:
+            raise self._map.fail("time.unit", f"found {found['unit']!r}, expected one of time: s, ms, us, min")
+        times, kept, repeated = self._table.row_times(self._named("time.column", found["column"]), unit.factor)
+        if repeated:
+            self.findings.append(f"dropped {repeated} rows with the time of the row before")
+        if kept.sum() < FEWEST:
+            raise TraceError(
+                f"{self._path}: found {int(kept.sum())} rows of different times, expected at least {FEWEST}"
+            )
+        return times[kept], kept
+
+
+class BagTopics:
+    """Fields of the messages of a bag, each at the times of its own topic, s since the first message of all."""
+
+    keys: Sequence[str] = ("topic", "field", "joint", "clock")
+
+    def __init__(self, path: Path, map_reader: MapReader, entries: Mapping[Any, Any], clock: object) -> None:
+        self._path, self._map = path, map_reader
+        self._clock = map_reader.choice("clock", clock, ("", *CLOCKS))
+        sources = {name: self._source(str(name), own) for name, own in entries.items()}
+        topics = frozenset(source.topic for source in sources.values())
+        self._recording: Recording = read_recording(path, lambda types: dict.fromkeys(topics & set(types)), topics)
+        self.findings = list(self._recording.findings)
+        stamped = {name: self._stamped(str(name), source) for name, source in sources.items()}
+        self._begins = min((int(stamps[0]) for stamps, _ in stamped.values()), default=0)
+        self._stamps = {name: (sources[name].name, *found) for name, found in stamped.items()}
+
+    def series(self, key: str, entry: Mapping[str, Any]) -> Series:
+        """The numbers of a field."""
+        label, stamps, readings = self._stamps[key]
+        return Series(label, (stamps - self._begins) / SECOND, readings)
+
+    def _source(self, key: str, entry: object) -> Source:
+        if isinstance(entry, str):
+            entry = {"topic": entry}
+        if not isinstance(entry, Mapping) or "topic" not in entry:
+            raise self._map.fail(key, f"found {short(entry)}, expected {{topic: /..., field: ..., unit: ...}}")
+        texts = {name: self._map.text(f"{key}.{name}", entry[name]) for name in self.keys if name in entry}
+        clock = self._map.choice(f"{key}.clock", texts.get("clock", self._clock), ("", *CLOCKS))
+        if not texts["topic"].startswith("/"):
+            raise self._map.fail(f"{key}.topic", f"found {texts['topic']!r}, expected a name that begins with /")
+        return Source(texts["topic"], texts.get("field", ""), texts.get("joint", ""), clock=clock)
+
+    def _stamped(self, key: str, source: Source) -> tuple[NDArray[np.int64], Array]:
+        """(n,) strictly ascending stamps, ns, and the numbers of one field."""
+        topic, types = source.topic, self._recording.types
+        if topic not in types:
+            raise self._map.fail(
+                f"{key}.topic", f"{topic} is not in {self._path}; it has {', '.join(sorted(types)[:20])}; name one"
+            )
+        found = self._recording.topics.get(topic)
+        if found is None:
+            raise TraceError(f"{self._path}: topic {topic} holds no message; record it while the machine works")
+        if found.decoded is None:
+            raise TraceError(
+                f"{self._path}: topic {topic} is {types[topic]}, whose definition the recording does not hold; "
+                "record it as MCAP, or publish a standard type"
+            )
+        if not found.decoded.batches:
+            raise TraceError(
+                f"{self._path}: topic {topic}: none of {found.size} messages can be read as {types[topic]}; "
+                "record it again"
+            )
+        readings, without = values_of(found.decoded.batches, found.size, source)
+        if without is not None and np.isnan(readings).all():
+            raise self._map.fail(key, f"topic {topic} of {self._path} {missing_field(without, source)}")
+        batches = () if source.clock == "bag" else found.decoded.batches
+        stamps, is_stamped = stamps_of(batches, found.bag_times, may_be_zero=False)
+        if source.clock == "header" and not is_stamped.any():
+            raise self._map.fail(
+                f"{key}.clock", f"header, but the messages of {topic} ({types[topic]}) have no stamp; use clock: bag"
+            )
+        order = np.argsort(stamps, kind="stable")
+        order = order[np.diff(stamps[order], prepend=stamps[order[0]] - 1) > 0]
+        if len(order) < len(stamps):
+            self.findings.append(f"{topic}: dropped {len(stamps) - len(order)} messages with the stamp of another")
+        if len(order) < FEWEST:
+            raise TraceError(f"{self._path}: topic {topic}: found {len(order)} messages, expected at least {FEWEST}")
+        return stamps[order], readings[order]
+
+
+def short(value: object) -> str:
+    """A value for a message."""
+    text = "nothing" if value is None else repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."

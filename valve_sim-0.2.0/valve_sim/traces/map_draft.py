@@ -1,0 +1,315 @@
+"""A first map of a foreign recording: what each topic, field or column looks like, with every guess marked."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from valve_sim.files.data_tables import TABLE_SUFFIXES, DataTable, open_table
+from valve_sim.files.recording_map import QUANTITIES, UNITS
+from valve_sim.files.tables import TableError
+from valve_sim.signals.voltage_steps import count_levels
+from valve_sim.traces.errors import TraceError
+from valve_sim.traces.map_series import Series, bag_series, table_series
+from valve_sim.traces.trouble import MOST_AMPERES
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+    from pathlib import Path
+
+    from valve_sim.model import ValveParameters
+
+HINTS: Mapping[str, str] = {
+    "position": r"pos|lift|lvdt|displ|stroke|travel|plunger|laser|range|dist|tracker|point|hub|weg",
+    "command": r"command|cmd|setpoint|demand|supply|driver|volts",
+    "voltage": r"volt|(^|[^a-z])u_|spannung",
+    "current": r"curr|(^|[^a-z])amp(s|ere|$|[^a-z])|clamp|strom|effort|(^|[^a-z])i_",
+    "acceleration": r"accel|imu",
+    "pressure": r"press|druck|_bar",
+    "temperature": r"temp",
+}
+"""Words in the names of a quantity's topics, fields and columns."""
+PLAIN = re.compile(r"(?:time|t|zeit|timestamp|sec|seconds|elapsed).*", re.IGNORECASE)
+FEW_MESSAGES = 0.2
+"""A topic with less than this share of the messages of another is a command: sent when it changes."""
+MOST_LEVELS = 12
+"""A voltage rests at so few levels at most."""
+MOST_LISTED = 40
+
+
+class Guess(NamedTuple):
+    """One line of a map: what is written, and why."""
+
+    quantity: str
+    series: Series
+    settings: Mapping[str, object]
+    reasons: Sequence[str]
+
+    @property
+    def lines(self) -> list[str]:
+        """This entry as YAML on one line, after its reasons as comments; the first of them calls it a guess."""
+        inside = ", ".join(f"{key}: {_yaml(value)}" for key, value in {**self.series.place, **self.settings}.items())
+        first, *others = self.reasons
+        comments = [f"# {self.quantity} is a guess: {first}", *(f"# {reason}" for reason in others)]
+        return [*comments, f"{self.quantity}: {{{inside}}}"]
+
+
+def draft_map(path: Path, parameters: ValveParameters, command: str) -> str:
+    """Draft the map of a recording from what it contains.
+
+    Args:
+        path: A bag or a table.
+        parameters: The declared valve, whose stroke and voltage tell units apart.
+        command: The command that asked for it, for the first line.
+
+    Returns:
+        The map's YAML; a comment says what each guess is based on, and CHECK marks what only its user can know.
+
+    Raises:
+        ValveError: The recording cannot be read, or nothing in it moves.
+    """
+    lines = [f"# Written by: {command}", "# A first guess: read each line. CHECK marks what only you can know."]
+    if path.suffix.lower() in TABLE_SUFFIXES and path.is_file():
+        table = open_table(path)
+        time, series = _time_line(table)
+        lines += time
+    else:
+        series = bag_series(path)
+    moving = [entry for entry in series if entry.span > 0.0]
+    if not moving:
+        names = ", ".join(entry.name for entry in series[:12]) or "no number at all"
+        raise TraceError(f"{path}: nothing in it moves ({names}); record while the valve works")
+    moving = [entry for entry in moving if not _counts(entry)] or moving
+    used: set[str] = set()
+    for valve, guesses in _valves(moving, parameters).items():
+        indent = ""
+        if valve:
+            lines += [*(["valves:"] if "valves:" not in lines else []), f"  {valve}:"]
+            indent = "    "
+        lines += [indent + line for guess in guesses for line in guess.lines]
+        lines += [f"{indent}# CHECK: {words}" for words in _missing(guesses)]
+        used |= {guess.series.name for guess in guesses}
+    left = [entry for entry in series if entry.name not in used]
+    lines += [f"# not used: {entry.name}, {entry.low:.6g} to {entry.high:.6g}" for entry in left[:MOST_LISTED]]
+    if len(left) > MOST_LISTED:
+        lines.append(f"# and {len(left) - MOST_LISTED} more")
+    return "\n".join(lines) + "\n"
+
+
+def _missing(guesses: Sequence[Guess]) -> list[str]:
+    found = {guess.quantity for guess in guesses}
+    words = []
+    if "position" not in found:
+        alone = "; without one the current alone is gone by" if "current" in found else ""
+        words.append(f"no position found; add position: {{...}}{alone}")
+    return words if found & {"command", "voltage"} else [*words, "no voltage found; add command: or voltage: {...}"]
+
+
+def _valves(series: Sequence[Series], parameters: ValveParameters) -> dict[str, list[Guess]]:
+    """Guesses by valve; one valve without a name unless numbers in the names tell several apart."""
+    lifts = [entry for entry in series if re.search(HINTS["position"], entry.words)]
+    volts = {entry.number for entry in series if re.search(f"{HINTS['command']}|{HINTS['voltage']}", entry.words)}
+    numbers = sorted({entry.number for entry in lifts if entry.number and entry.number in volts})
+    if len(numbers) < 2:
+        return {"": _guesses(series, parameters)}
+    return {
+        f"/valve_{number}": _guesses([entry for entry in series if entry.number == number], parameters)
+        for number in numbers
+    }
+
+
+def _guesses(series: Sequence[Series], parameters: ValveParameters) -> list[Guess]:
+    """The quantities of one valve, the voltage first: the series that moves at its steps is the position.
+
+    Beside a voltage that was sampled there may be the commands as they were sent.
+    """
+    rest = list(series)
+    guesses: list[Guess] = []
+    voltage = _best(rest, _voltage_score)
+    if voltage is not None:
+        rest.remove(voltage)
+    position = _best([entry for entry in rest if not _is_voltage(entry)], _position_score)
+    if position is not None:
+        rest.remove(position)
+    if voltage is not None:
+        guesses.append(_voltage_guess(voltage, max(len(entry.values) for entry in series), parameters))
+        if guesses[0].quantity == "voltage":
+            sent = [entry for entry in rest if _is_voltage(entry) and len(np.unique(entry.values)) <= MOST_LEVELS]
+            for entry in sent[:1]:
+                rest.remove(entry)
+                guesses.append(Guess("command", entry, {}, [f"reads {entry.low:.4g} to {entry.high:.4g}"]))
+    if position is not None:
+        guesses.append(_position_guess("position", position, parameters))
+        for main in [entry for entry in rest if _is_main(entry) and _names(entry, "position")][:1]:
+            rest.remove(main)
+            guesses.append(_position_guess("main_position", main, parameters))
+    for quantity in ("current", "acceleration", "pressure", "temperature"):
+        named = [entry for entry in rest if _names(entry, quantity)]
+        # A current without a name is taken to be the remaining channel of an oscilloscope.
+        unnamed = rest if quantity == "current" and len(rest) == 1 and "column" in rest[0].place else []
+        for entry in [found for found in named or unnamed if _is_possible(quantity, found, parameters)][:1]:
+            rest.remove(entry)
+            guesses.append(_other_guess(quantity, entry, is_named=bool(named), parameters=parameters))
+    return guesses
+
+
+def _counts(entry: Series) -> bool:
+    """Whether a series grows from each value to the next, as stamps and counters do and no quantity of a valve does."""
+    return len(entry.values) > MOST_LEVELS and bool((np.diff(entry.values) > 0.0).all())
+
+
+def _is_possible(quantity: str, entry: Series, parameters: ValveParameters) -> bool:
+    """Whether a series can be this quantity in any unit that a map knows, or in the one that its file states.
+
+    A current that would be refused as soon as it is read is none, and nothing is colder than absolute zero.
+    """
+    units = UNITS[QUANTITIES[quantity].dimension]
+    possible = [units[entry.unit]] if entry.unit in units else list(units.values())
+    if quantity == "current":
+        # The drive may be of several times the reference voltage, as with peak and hold.
+        most = MOST_AMPERES * parameters.reference_voltage / parameters.coil_resistance
+        return any(unit.factor * max(abs(entry.low), abs(entry.high)) <= most for unit in possible)
+    if quantity == "temperature":
+        return any(unit.factor * entry.low + unit.zero >= -273.15 for unit in possible)
+    return True
+
+
+def _best(series: Sequence[Series], score: Callable[[Series], float]) -> Series | None:
+    ranked = sorted(series, key=score, reverse=True)
+    return ranked[0] if ranked and score(ranked[0]) > 0.0 else None
+
+
+def _names(entry: Series, quantity: str) -> bool:
+    units = UNITS[QUANTITIES[quantity].dimension]
+    return bool(re.search(HINTS[quantity], entry.words)) or (entry.unit in units and entry.unit not in ("g", "m"))
+
+
+def _voltage_score(entry: Series) -> float:
+    """How much a series looks like a voltage that is switched."""
+    levels = count_levels(entry.values)
+    named = _names(entry, "command") or bool(re.search(HINTS["voltage"], entry.words))
+    other = any(_names(entry, quantity) for quantity in ("position", "current", "acceleration", "pressure"))
+    is_switched = 2 <= levels <= MOST_LEVELS
+    return 2.0 * named + is_switched + (0.5 * entry.sharpness if is_switched else 0.0) - 2.0 * (other and not named)
+
+
+def _position_score(entry: Series) -> float:
+    """How much a series looks like a plunger between two stops."""
+    other = any(_names(entry, quantity) for quantity in ("current", "acceleration", "pressure", "temperature"))
+    return (
+        2.0 * _names(entry, "position") + entry.rest_share - 2.0 * other + 0.1 * entry.is_first_choice - _is_main(entry)
+    )
+
+
+def _is_voltage(entry: Series) -> bool:
+    """Whether its name says that it is a voltage, and not also that it is a position."""
+    says = re.search(f"{HINTS['command']}|{HINTS['voltage']}", entry.words) is not None
+    return says and re.search(HINTS["position"], entry.words) is None
+
+
+def _is_main(entry: Series) -> bool:
+    return re.search(r"main", entry.words) is not None
+
+
+def _voltage_guess(entry: Series, most: int, parameters: ValveParameters) -> Guess:
+    """What a voltage is; `most`: values of the longest series beside it."""
+    reasons = [f"reads {entry.low:.4g} to {entry.high:.4g}"]
+    settings: dict[str, object] = {}
+    is_bag = "topic" in entry.place
+    few = len(entry.values) < FEW_MESSAGES * most
+    named = bool(re.search(HINTS["command"], entry.words))
+    exact = len(np.unique(entry.values)) <= MOST_LEVELS
+    quantity = "command" if (is_bag and few) or (named and exact) or (not is_bag and exact) else "voltage"
+    reasons.append("sent when it changes" if is_bag and few else "steps between few levels")
+    if entry.unit in UNITS["voltage"]:
+        settings["unit"] = entry.unit
+    highest = max(abs(entry.low), abs(entry.high))
+    ratio = highest / parameters.reference_voltage
+    if "unit" not in settings and ratio > 100.0:
+        settings["unit"] = "mV"
+        reasons.append("CHECK unit: by the declared reference_voltage")
+    elif ratio < 0.3:
+        reasons.append(
+            f"CHECK: the declared valve has {parameters.reference_voltage:g} V; behind a divider? then scale: 10, say"
+        )
+    return Guess(quantity, entry, settings, reasons)
+
+
+def _position_guess(quantity: str, entry: Series, parameters: ValveParameters) -> Guess:
+    reasons = [f"reads {entry.low:.6g} to {entry.high:.6g}, at rest {entry.at_rest:.6g}"]
+    settings: dict[str, object] = {}
+    units = UNITS["length"]
+    if entry.unit in units:
+        unit = entry.unit
+        reasons.append("unit as the file says")
+    else:
+        unit = min(("m", "mm", "um"), key=lambda name: abs(np.log(units[name].factor * entry.span / parameters.stroke)))
+        reasons.append(f"CHECK unit: travels {entry.span:.4g}, the declared stroke is {parameters.stroke:.4g} m")
+    settings["unit"] = unit
+    sign = -1 if entry.at_rest - entry.low > entry.high - entry.at_rest else 1
+    if sign < 0:
+        settings["sign"] = -1
+        reasons.append("CHECK sign: it begins at its highest, taken for closed")
+    if abs(entry.at_rest) > 0.05 * entry.span:
+        settings["offset"] = float(f"{-sign * entry.at_rest:.6g}")
+        reasons.append("offset: of the first samples, taken for closed")
+    return Guess(quantity, entry, settings, reasons)
+
+
+def _other_guess(quantity: str, entry: Series, *, is_named: bool, parameters: ValveParameters) -> Guess:
+    dimension = QUANTITIES[quantity].dimension
+    units = UNITS[dimension]
+    unit = entry.unit if entry.unit in units else next(iter(units))
+    highest = max(abs(entry.low), abs(entry.high))
+    if quantity == "current" and entry.unit not in units:
+        expected = parameters.reference_voltage / parameters.coil_resistance
+        unit = "mA" if highest > 30.0 * expected else "A"
+    reasons = [f"reads {entry.low:.4g} to {entry.high:.4g}", "by its name" if is_named else "CHECK: what else is there"]
+    if entry.unit not in units:
+        reasons.append("CHECK unit, and scale: of a probe")
+    if quantity == "acceleration":
+        reasons.append("CHECK sign and offset: positive towards the core, without gravity")
+    return Guess(quantity, entry, {"unit": unit}, reasons)
+
+
+def _time_line(table: DataTable) -> tuple[list[str], list[Series]]:
+    """The lines about time, and what the other columns hold."""
+    columns = {}
+    for name in table.names:
+        try:
+            columns[name] = table.column(name)
+        except TableError:  # words, such as a time of day
+            continue
+    ascending = [name for name, values in columns.items() if len(values) > 1 and (np.diff(values) > 0).all()]
+    named = [name for name in ascending if PLAIN.fullmatch(name)]
+    time = next(iter([*named, *ascending]), None)
+    series = table_series(table, {name: values for name, values in columns.items() if name != time})
+    if time is None:
+        return ["# CHECK: no column ascends; give the rows a second", "time: {rate: 10000}"], series
+    step = float(np.median(np.diff(columns[time])))
+    units = UNITS["time"]
+    unit, reason = table.units.get(time, ""), "unit as the file says"
+    if unit.lower().startswith("s"):
+        unit = "s"
+    if unit not in units:
+        unit = next((name for name in ("s", "ms", "us", "ns") if 2e-7 < units[name].factor * step < 2e-2), "s")
+        reason = "CHECK unit"
+    rate = 1.0 / (units[unit].factor * step)
+    return [f"# {rate:.6g} rows a second; {reason}", f"time: {{column: {_yaml(time)}, unit: {unit}}}"], series
+
+
+def _yaml(value: object) -> str:
+    if not isinstance(value, str):
+        return f"{value}"
+    is_plain = re.fullmatch(r"[A-Za-z_/µ][\w/.\-µ]*", value) and value.lower() not in (
+        "y",
+        "n",
+        "yes",
+        "no",
+        "on",
+        "off",
+    )
+    escaped = value.replace("\\", "\\\\").replace('"', '\\"')
+    return value if is_plain else f'"{escaped}"'

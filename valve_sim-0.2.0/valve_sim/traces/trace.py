@@ -1,0 +1,164 @@
+"""What one recording says about one valve: arrays with units on one clock."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import KW_ONLY, dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
+
+from valve_sim.signals.left_out import LeftOut, bridged, find_left_out, usual_travel
+from valve_sim.traces.measured_input import MeasuredInput, measured_input
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from valve_sim.model import Drive
+
+
+class Signal(NamedTuple):
+    """A sampled quantity beside the positions.
+
+    Attributes:
+        times: Seconds since the trace's `epoch_ns`, ascending, shape (n,).
+        values: SI values (°C for a temperature), shape (n,).
+    """
+
+    times: NDArray[np.float64]
+    values: NDArray[np.float64]
+
+    def beside(self, times: NDArray[np.float64]) -> Signal:
+        """Return the same, with these very times where they are equal, so that they are held once."""
+        same = len(times) == len(self.times) and bool((times == self.times).all())
+        return Signal(times, self.values) if same else self
+
+
+class DriveErrors(NamedTuple):
+    """How well commands are known that were read from samples of a voltage, not recorded as commands.
+
+    Attributes:
+        times: Standard deviation of each command's time, s, shape (k,); 0 where it is exact.
+        volts: Standard deviation of its voltage, V, shape (k,); commands of one voltage share one error.
+    """
+
+    times: NDArray[np.float64]
+    volts: NDArray[np.float64]
+
+
+@dataclass(frozen=True, repr=False)
+class Trace:
+    """One valve in one recording; all times are seconds since `epoch_ns`.
+
+    Attributes:
+        source: The file and the valve, for messages.
+        drive: Commanded voltage (V), held between commands, 0 V before the first.
+        times: Times of position samples, strictly ascending, s, shape (n,); none where no position was recorded.
+        pilot_position: Pilot plunger, m, shape (n,), as it was recorded; see `usable_position`.
+        drive_errors: How well the commands are known; None where they were recorded as they were sent.
+        averaging: Of how many readings, the last one included, each recorded position is the mean.
+        bandwidth: Of the position sensor's low-pass of first order, Hz, as a map declares it; infinite: none.
+        zero_error: Standard deviation of what the position sensor shows of a closed valve, m; 0 where that is 0.
+        main_position: Main plunger, m, shape (n,); None where it was not recorded.
+        coil_current: Measured current, A.
+        coil_voltage: Measured at the coil's terminals, V: the input in place of the command, see `input`.
+        acceleration: Along the axis, m/s².
+        inlet_pressure, outlet_pressure: Before and behind a valve with gas, absolute, Pa.
+        demand_pressure: Behind the demand's orifice of such a valve, absolute, Pa; each holds until the next.
+        coil_temperature: °C.
+        outlet_start: Behind a valve with gas when the trace begins, Pa; None: as the valve declares it.
+        epoch_ns: The first stamp of commands or samples, ns, on the samples' clock.
+        clock: "header" when samples are timed by their stamps, "bag" when by the time they were recorded; of a table
+            "time column", or "rate".
+        findings: One sentence each: what was dropped, repaired or salvaged, with counts.
+        origins: Quantity as a map calls it ("position") to the topic or column that it was read from, for messages.
+    """
+
+    source: str
+    drive: Drive
+    times: NDArray[np.float64]
+    pilot_position: NDArray[np.float64]
+    main_position: NDArray[np.float64] | None = None
+    _: KW_ONLY
+    drive_errors: DriveErrors | None = None
+    averaging: int = 1
+    bandwidth: float = math.inf
+    zero_error: float = 0.0
+    coil_current: Signal | None = None
+    coil_voltage: Signal | None = None
+    acceleration: Signal | None = None
+    inlet_pressure: Signal | None = None
+    outlet_pressure: Signal | None = None
+    demand_pressure: Signal | None = None
+    coil_temperature: Signal | None = None
+    outlet_start: float | None = None
+    epoch_ns: int = 0
+    clock: str = "header"
+    findings: tuple[str, ...] = ()
+    origins: Mapping[str, str] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        """Trace('train.mcap', 16 commands, 10000 samples of the position)."""
+        count = len(self.sample_times)
+        return f"Trace({self.source!r}, {len(self.drive.times)} commands, {count} samples of the {self.primary_signal})"
+
+    @cached_property
+    def measured_input(self) -> MeasuredInput | None:
+        """The measured voltage as steps; None where none was measured."""
+        return None if self.coil_voltage is None else measured_input(self.drive, self.coil_voltage)
+
+    def input(self, release_voltage: float) -> Drive:
+        """The voltage that drives a model: as measured, or else as commanded.
+
+        Args:
+            release_voltage: V, of the model; above 0 it freewheels by itself while the command is 0.
+        """
+        measured = self.measured_input
+        return self.drive if measured is None else measured.drive(self.drive, freewheels=release_voltage > 0.0)
+
+    @property
+    def has_positions(self) -> bool:
+        """Whether positions were recorded; else the coil's current or the outlet's pressure was."""
+        return len(self.times) > 0
+
+    @property
+    def primary_signal(self) -> str:
+        """The signal by which a valve is judged: "position", else "current", else "outlet_pressure"."""
+        if self.has_positions:
+            return "position"
+        return "outlet_pressure" if self.coil_current is None else "current"
+
+    @cached_property
+    def left_out(self) -> LeftOut:
+        """Which positions are no measurements, and take part in no fit."""
+        return find_left_out(self.times, self.pilot_position, usual_travel(self.times, self.pilot_position))
+
+    @cached_property
+    def usable_position(self) -> NDArray[np.float64]:
+        """Pilot plunger, m, shape (n,); what is left out lies on lines between the readings beside it."""
+        return bridged(self.times, self.pilot_position, self.left_out.any)
+
+    @cached_property
+    def kept_position(self) -> NDArray[np.float64]:
+        """Pilot plunger, m, of the samples that are not left out: of them noise and steps are seen."""
+        left_out = self.left_out.any
+        return self.pilot_position[~left_out] if left_out.any() else self.pilot_position
+
+    @property
+    def primary_samples(self) -> Signal:
+        """The signal by which a valve is judged; a position is `usable_position`."""
+        signal = self._other_signal
+        return Signal(self.times, self.usable_position) if self.has_positions or signal is None else signal
+
+    @property
+    def sample_times(self) -> NDArray[np.float64]:
+        """Its times, s."""
+        signal = self._other_signal
+        return self.times if self.has_positions or signal is None else signal.times
+
+    @property
+    def _other_signal(self) -> Signal | None:
+        """The signal by which a valve is judged without positions."""
+        return self.outlet_pressure if self.coil_current is None else self.coil_current

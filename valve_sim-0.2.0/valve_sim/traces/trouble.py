@@ -1,0 +1,286 @@
+"""Problems of a readable trace: gaps, no command, no motion, numbers in another unit."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from valve_sim.model.core_types import Phase
+from valve_sim.model.drives import Drive
+from valve_sim.signals.left_out import words_of
+from valve_sim.signals.long_columns import largest_size
+from valve_sim.signals.motion import SMALLEST_MOTION, largest_travel, motion_threshold
+from valve_sim.traces.clocks import find_gaps
+from valve_sim.traces.errors import TraceError
+from valve_sim.traces.strokes import FULL_TRAVEL, find_stroke_parts
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from valve_sim.model import ValveParameters
+    from valve_sim.traces.trace import Trace
+
+PILOT = "pilot_plunger"
+LARGEST_POSITION = 0.1
+"""m; a solenoid valve's plunger moves millimetres: beyond this the unit is most likely not metres."""
+MOST_STROKES = 10.0
+"""No position lies so many strokes from the closed one, or its unit is not metres."""
+TOO_SMALL = {1e3: "m were taken for mm, or mm for um", 1e6: "m were taken for um"}
+"""A travel so many times smaller than the stroke is another unit; what lies between may be a valve that sticks."""
+ALIKE = 3.0
+"""Declared and true stroke differ by less than this factor."""
+PLACES = 100
+"""From a lift to the stop, at which forces are looked at."""
+RESTED = 0.25
+"""The last share of an opening: a plunger that stands still in it has come to rest."""
+SHORTEST_LIFT, LONGEST_LIFT = 20e-6, 0.5
+"""s from the gap to the stop or back: it takes milliseconds."""
+MOST_VOLTS = 30.0
+"""No voltage is so many reference voltages: a peak-and-hold driver reaches seven."""
+MOST_AMPERES = 30.0
+"""No current is so many times what the voltage and the declared resistance allow: that may be off by a few."""
+_LONG_ENOUGH = 0.5
+"""s of a constant voltage, after which a valve that can open has."""
+LEAST_AMPERES = 0.01
+"""Of a valve that moved, no current is below this share of it."""
+
+
+def find_problems(trace: Trace, positions: str, voltage: str) -> list[str]:
+    """Return one sentence for each trouble.
+
+    Args:
+        trace: What was read. positions: Where the positions, or without any the current, are recorded.
+        voltage: Where the voltage is.
+    """
+    findings = []
+    times = trace.sample_times
+    gaps = find_gaps(times)
+    if len(gaps):
+        longest = float((times[gaps + 1] - times[gaps]).max())
+        findings.append(f"{positions}: {len(gaps)} gaps in the samples, the longest {longest:.6f} s")
+    if not trace.drive.volts.any():
+        findings.append(f"{voltage} never leaves 0 V")
+    is_beside = trace.drive.times[0] > times[-1] or trace.drive.times[-1] < 2 * times[0] - times[-1]
+    beside = [f"{voltage}: no command falls into the time of the samples"] if is_beside else []
+    if not trace.has_positions:
+        return findings + beside
+    reach = largest_size(trace.kept_position)
+    if reach > LARGEST_POSITION:
+        findings.append(f"{positions}: {PILOT} reaches {reach:.6g} m: positions must be in metres")
+    travel = largest_travel(trace.usable_position)
+    if travel <= motion_threshold(trace.kept_position):
+        findings.append(f"{positions}: no motion: {PILOT} stays within {travel * 1e6:.3g} µm")
+        beside = []
+    return findings + beside
+
+
+def doubtful_units(trace: Trace, parameters: ValveParameters) -> tuple[str, ...]:
+    """Quantities of a trace that are off by so large a factor that they are in another unit, or are another quantity.
+
+    Args:
+        trace: What was read.
+        parameters: The declared valve.
+
+    Returns:
+        One line each: where, what was found, what is expected, and the mend.
+    """
+    checks = (_position, _time, _voltage, _current) if trace.has_positions else (_voltage, _current)
+    found = [check(trace, parameters) for check in checks]
+    return tuple(line for line in found if line)
+
+
+def refuse_doubtful_units(trace: Trace, parameters: ValveParameters) -> None:
+    """Stop before anything is fitted to numbers of another unit; see `doubtful_units`.
+
+    Raises:
+        TraceError: One line with the recording, the topic or column, what was found and is expected, and the remedy.
+    """
+    for line in doubtful_units(trace, parameters):
+        raise TraceError(f"{trace.source}: {line}")
+
+
+def left_out_finding(trace: Trace) -> tuple[str, ...]:
+    """Say how many positions are no measurements and take part in no fit, by reason.
+
+    Returns:
+        One line, or none.
+    """
+    words = words_of(trace.left_out.counts)
+    return (f"{_where(trace, 'position')}: left out of all that follows: {words}",) if words else ()
+
+
+def another_valve(trace: Trace, parameters: ValveParameters) -> tuple[str, ...]:
+    """Say where the plunger goes where that of the declared valve cannot: it is another valve, or not as declared.
+
+    Either it travels beyond the declared stop, or it rests below it, where the declared attraction at the voltage that
+    is on exceeds all that is declared to hold it, from there to the stop. Nothing is refused: a valve may be worn, or
+    jammed half open.
+
+    Args:
+        trace: What was read.
+        parameters: The declared valve.
+
+    Returns:
+        One line, or none.
+    """
+    if not trace.has_positions or doubtful_units(trace, parameters):
+        return ()
+    stroke, travel = parameters.stroke, largest_travel(trace.usable_position)
+    is_beyond = FULL_TRAVEL * travel > stroke
+    pushed = 0.0 if is_beyond or travel > FULL_TRAVEL * stroke else _pushed_on(trace, parameters)
+    if not (is_beyond or pushed > 0.0):
+        return ()
+    volts = float(np.abs(trace.drive.volts).max())
+    why = "beyond its stop" if is_beyond else f"where at least {pushed:.3g} N would draw it on to its stop"
+    declared = f"the stroke of the declared valve ({1e3 * stroke:.3g} mm, {parameters.reference_voltage:g} V)"
+    return (
+        f"{_where(trace, 'position')}: {PILOT} travels {1e3 * travel:.3g} mm at up to {volts:.3g} V, "
+        f"{travel / stroke:.2g} times {declared}, {why}: another valve? Give its parameter file as --params",
+    )
+
+
+def _pushed_on(trace: Trace, parameters: ValveParameters) -> float:
+    """The largest force, N, by which the declared valve would go on from where the plunger rested; 0 for none."""
+    closed, largest = float(trace.usable_position.min()), 0.0
+    for part in find_stroke_parts(trace):
+        since = part.stop - RESTED * (part.stop - part.start)
+        at_end = trace.usable_position[slice(*np.searchsorted(trace.times, [since, part.stop]))]
+        if part.kind != "opening" or not part.moved or len(at_end) < 2:
+            continue
+        if largest_travel(at_end) <= motion_threshold(trace.kept_position):
+            lift = float(np.median(at_end)) - closed
+            largest = max(largest, _least_force(parameters, lift, part.volts))
+    return largest
+
+
+def _least_force(parameters: ValveParameters, lift: float, volts: float) -> float:
+    """The declared valve's least static net force from a lift to the stop, N: above 0 it cannot rest on the way.
+
+    0 at the gap, where a pilot plunger may wait for the pressure. The attraction is at most that at the reference
+    voltage: what pulls more may saturate the core.
+    """
+    gap = parameters.pilot_gap
+    if FULL_TRAVEL * gap <= lift <= gap / FULL_TRAVEL:
+        return 0.0
+    way = np.linspace(lift, parameters.stroke, PLACES)
+    share = min(1.0, abs(volts) / parameters.reference_voltage)
+    pull = share**2 * np.polynomial.polynomial.polyval(way, parameters.attraction_polynomial)
+    held = np.where(way < gap, parameters.seat_load, parameters.spring_preload + parameters.spring_rate * way)
+    return float(np.min(pull - held))
+
+
+def _position(trace: Trace, parameters: ValveParameters) -> str:
+    stroke, travel = parameters.stroke, largest_travel(trace.usable_position)
+    where = _where(trace, "position")
+    if travel > MOST_STROKES * stroke:
+        unit, factor = _unit_of(travel / stroke, {"mm": 1e3, "um": 1e6, "nm": 1e9})
+        return (
+            f"{where}: {PILOT} travels {travel:.4g} m, expected about {stroke:.4g} m (valve.stroke), at most "
+            f"{MOST_STROKES * stroke:.4g} m: about {factor:g} times too large, as if {unit} were taken for m; "
+            f"publish metres, or correct it with --map and unit: {unit}"
+        )
+    for factor, words in TOO_SMALL.items():
+        alike = 1.0 / ALIKE < factor * travel / stroke < ALIKE
+        if alike and travel > motion_threshold(trace.kept_position) - SMALLEST_MOTION:
+            return (
+                f"{where}: {PILOT} travels {travel:.4g} m, expected about {stroke:.4g} m (valve.stroke): about "
+                f"{factor:g} times too small, as if {words}; correct unit: or scale: with --map"
+            )
+    usual = float(np.median(trace.kept_position))
+    if abs(usual) > MOST_STROKES * stroke:
+        rest = float(np.median(trace.usable_position[: max(1, len(trace.usable_position) // 100)]))
+        return (
+            f"{where}: {PILOT} lies at {usual:.4g} m, expected 0 m where the valve is closed and {stroke:.4g} m where "
+            f"it is open (valve.stroke); take the sensor's zero out with --map and offset: (here {-rest:.6g} m)"
+        )
+    return ""
+
+
+def _time(trace: Trace, parameters: ValveParameters) -> str:
+    """Of tables only: stamps of messages have one unit."""
+    if trace.clock in ("header", "bag"):
+        return ""
+    closed, travel = float(trace.usable_position.min()), largest_travel(trace.usable_position)
+    share = (trace.usable_position - closed) / travel if travel > 0.0 else np.zeros(len(trace.times))
+    # Below the gap, a pilot may wait until the pressure lets it lift the main plunger.
+    level = np.full(len(share), 0)
+    level[share < parameters.pilot_gap / parameters.stroke + 0.1] = -1
+    level[share > FULL_TRAVEL] = 1
+    ends = np.flatnonzero(level)
+    changes = np.flatnonzero(np.diff(level[ends]))
+    if not len(changes):
+        return ""
+    fastest = float((trace.times[ends[changes + 1]] - trace.times[ends[changes]]).min())
+    if SHORTEST_LIFT < fastest < LONGEST_LIFT:
+        return ""
+    return (
+        f"time: {PILOT} takes {fastest:.3g} s from the gap to the stop at its fastest, expected some milliseconds: "
+        "another unit of time; correct it in the map with time: {column: ..., unit: ms}, us or s"
+    )
+
+
+def _voltage(trace: Trace, parameters: ValveParameters) -> str:
+    reference, highest = parameters.reference_voltage, float(np.abs(trace.drive.volts).max(initial=0.0))
+    where = _where(trace, "command" if "command" in trace.origins else "voltage")
+    expected = f"expected about {reference:g} V (valve.reference_voltage)"
+    if highest > MOST_VOLTS * reference:
+        return (
+            f"{where}: the voltage reaches {highest:.4g} V, {expected} and at most {MOST_VOLTS * reference:g} V; "
+            "publish volts, or correct it with --map and unit: mV"
+        )
+    is_too_low = highest < reference / MOST_VOLTS
+    # What opens with the reference voltage opens with more: that needs no simulation, which would load compiled code.
+    is_in_doubt = not is_too_low and trace.has_positions and ALIKE * highest < reference
+    if is_in_doubt and largest_travel(trace.usable_position) > 0.5 * parameters.stroke:
+        # Behind a divider of ten, say. A valve that cannot open as declared does not tell.
+        is_too_low = not _opens(parameters, ALIKE * highest) and _opens(parameters, reference)
+    if highest > 0.0 and is_too_low and _has_moved(trace):
+        return (
+            f"{where}: the voltage reaches {highest:.4g} V only, though the valve moved; {expected}; "
+            "correct it with --map and unit: or scale: (of a divider)"
+        )
+    return ""
+
+
+def _opens(parameters: ValveParameters, volts: float) -> bool:
+    """Whether a valve as declared reaches its core when so many volts are held."""
+    from valve_sim.model import Valve, simulate
+
+    response = simulate(Valve(parameters), Drive.of([0.0], [volts]), [0.0, _LONG_ENOUGH])
+    return bool(response.phase[-1] == Phase.OPEN)
+
+
+def _current(trace: Trace, parameters: ValveParameters) -> str:
+    signal = trace.coil_current
+    if signal is None or not len(signal.values) or not trace.drive.volts.any():
+        return ""
+    highest = float(np.quantile(np.abs(signal.values), 0.999, overwrite_input=True))
+    expected = float(np.abs(trace.drive.volts).max()) / parameters.coil_resistance
+    where = _where(trace, "current")
+    words = f"expected about {expected:.3g} A (voltage by valve.coil_resistance {parameters.coil_resistance:g} Ω)"
+    if highest > MOST_AMPERES * expected:
+        found = f"the current reaches {highest:.4g} A"
+        return f"{where}: {found}, {words}; publish amperes, or correct it with --map and unit: mA"
+    if highest < LEAST_AMPERES * expected and _has_moved(trace):
+        return (
+            f"{where}: the current reaches {highest:.3g} A only, {words}; "
+            "correct it with --map and unit: or scale:, or leave the current out of the map"
+        )
+    return ""
+
+
+def _where(trace: Trace, quantity: str) -> str:
+    return trace.origins.get(quantity, quantity)
+
+
+def _has_moved(trace: Trace) -> bool:
+    """Whether it has; without positions, every valve is taken to have."""
+    if not trace.has_positions:
+        return True
+    return largest_travel(trace.usable_position) > motion_threshold(trace.kept_position)
+
+
+def _unit_of(ratio: float, factors: Mapping[str, float]) -> tuple[str, float]:
+    """The unit whose factor is closest to the ratio, and that factor."""
+    return min(factors.items(), key=lambda item: abs(np.log(ratio / item[1])))
