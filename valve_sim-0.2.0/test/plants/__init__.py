@@ -1,1 +1,0 @@
-"""Truth plants: valves to record test data from, sharing no code with the package."""

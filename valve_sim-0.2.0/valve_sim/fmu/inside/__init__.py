@@ -1,1 +1,0 @@
-"""What a unit runs: one script for each version of FMI, which a copy in the unit brings to the tool that loads it."""

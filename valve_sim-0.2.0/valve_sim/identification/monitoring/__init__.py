@@ -1,1 +1,0 @@
-"""A valve watched stroke by stroke: segmentation, scores, control charts, fault isolation."""

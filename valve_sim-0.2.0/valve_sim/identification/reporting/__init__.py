@@ -1,1 +1,0 @@
-"""Results as JSON, text, pages and figures: the only room that formats."""

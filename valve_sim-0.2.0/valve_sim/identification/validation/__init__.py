@@ -1,1 +1,0 @@
-"""A declared valve replayed beside recordings."""
