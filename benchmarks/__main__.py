@@ -56,7 +56,7 @@ GROUPS: Final[dict[str, tuple[Benchmark, ...]]] = {
     ),
     "Recordings of others": (Benchmark("real_recordings", "the published measurements", "minutes"),),
     "Machines of plant files": (
-        Benchmark("actuators", "", "minutes", "200 11"),
+        Benchmark("campaign", "", "up to 10 s a case, 200 a seed", "--only actuator --seeds 1"),
         Benchmark("plant_limits", "", "minutes"),
     ),
     "Monitor": (

@@ -12,9 +12,9 @@ from plants.tolerances import SHEET_VALVE
 
 from benchmarks.campaign.cases import AT_LIMITS, EXACT_VALUES, RECORDED, SIZES, draw_case, planned
 from benchmarks.campaign.effects import CATALOGUED
-from benchmarks.campaign.figures import family_table, imperfection_table, standing, upper_limit
 from benchmarks.campaign.limits import DETECTABLE, Knowledge, detection_limit, yardstick
 from benchmarks.campaign.running import Answer, Outcome, is_unnamed, true_effects, true_names
+from benchmarks.campaign.tables import family_table, imperfection_table, standing, upper_limit
 
 POWERS: FloatArray = np.linspace(0.0, 1.2e-3, 7)[:, np.newaxis] ** np.arange(4)
 

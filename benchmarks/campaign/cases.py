@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import tempfile
 import zlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -22,7 +22,7 @@ from plants.reluctance import DATA_SHEET, ReluctancePlant, built
 from plants.reluctance import EFFECTS as RELUCTANCE_EFFECTS
 from plants.tolerances import LENGTHS, SHARES, SHEET_VALVE, Entries, declared_tolerances, deviated, drawn_deviations
 
-from benchmarks.campaign import coil, hard, outlet
+from benchmarks.campaign import actuators, coil, hard, outlet
 from benchmarks.campaign.bench import Bench, Measured
 from benchmarks.campaign.declared import declared_valve
 from benchmarks.campaign.effects import CATALOGUED, UNCATALOGUED, Effects, are_confusable, log_uniform
@@ -215,22 +215,9 @@ class Case:
             np.savetxt(path, table, delimiter=",", header="displacement,force", comments="", fmt="%.6g")
             return fit_static_force(path, sheet).valve
 
-    @property
-    def declared_exactly(self) -> Valve:
-        """The true values but for the dampings, which a fit frees."""
-        dampings = {name: CAMPAIGN_VALVE[name] for name in self.dampings}
-        return declared_valve({**self.true_values, **dampings})
-
     def recorder(self, bag: int) -> Recorder:
         """How a bag, by its place, is recorded."""
-        noise = NOISES[self.noise]
-        return Recorder(
-            colour=noise.colour,
-            quantisation=noise.quantisation,
-            command_jitter=noise.command_jitter,
-            clock_offset=self.clock_offsets[bag],
-            with_current=self.with_current,
-        )
+        return replace(NOISES[self.noise], clock_offset=self.clock_offsets[bag], with_current=self.with_current)
 
     def laboratory_of(self, bag: int) -> Laboratory:
         """The laboratory as it records a bag, by its place, with that bag's clock."""
@@ -345,16 +332,10 @@ def _one_imperfection(seed: int) -> tuple[str, str]:
     return f"{list(IMPERFECTIONS)[kind]}:{SIZES[size]}", noise
 
 
-def _whole_laboratory(seed: int) -> tuple[str, str]:
-    return list(LABORATORIES)[seed % len(LABORATORIES)], OWN_NOISE
-
-
-def _mistake(seed: int) -> tuple[str, str]:
-    return list(MISTAKES)[seed % len(MISTAKES)], OWN_NOISE
-
-
-def _low_rate(seed: int) -> tuple[str, str]:
-    return list(LOW_RATES)[seed // 2 % len(LOW_RATES)], OWN_NOISE
+def _whole(names: Iterable[str], seeds: int = 1) -> Callable[[int], tuple[str, str]]:
+    """Whole laboratories in turn, each for so many seeds."""
+    known = tuple(names)
+    return lambda seed: (known[seed // seeds % len(known)], OWN_NOISE)
 
 
 def _clear_imperfection(seed: int) -> tuple[str, str]:
@@ -371,10 +352,13 @@ def _catalogued(
     limits: tuple[float, float] = LIMITS,
     knowledge: Knowledge = Knowledge.EXACT,
 ) -> tuple[Effects, Numbers]:
-    """One effect of an amplitude between so many detection limits."""
+    """One effect of an amplitude between so many detection limits, or of just so many."""
     scale = CATALOGUED[name]
     shape, sign = scale.draw_shape(random), scale.draw_sign(random)
     limit = detection_limit(name, shape, recorder, knowledge)
+    if limits[0] == limits[1]:
+        size = min(limits[0] * limit, scale.most)
+        return {name: scale.parameters(sign * size, shape)}, {name: size / limit}
     low = limits[0] * limit
     size = min(log_uniform(random, low, max(NARROWEST * low, min(limits[1] * limit, scale.largest))), scale.most)
     if knowledge is Knowledge.WITHIN:
@@ -400,12 +384,8 @@ def _at_limits(
 ) -> tuple[Effects, Numbers]:
     """One effect at so many detection limits, as its round has it."""
     turn, kind = divmod(seed, len(CATALOGUED))
-    name = list(CATALOGUED)[kind]
-    scale = CATALOGUED[name]
-    shape, sign = scale.draw_shape(random), scale.draw_sign(random)
-    limit = detection_limit(name, shape, recorder, knowledge)
-    size = min(AT_LIMITS[turn % len(AT_LIMITS)] * limit, scale.most)
-    return {name: scale.parameters(sign * size, shape)}, {name: size / limit}
+    times = AT_LIMITS[turn % len(AT_LIMITS)]
+    return _catalogued(list(CATALOGUED)[kind], random, recorder, (times, times), knowledge)
 
 
 def _exact_wrong(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
@@ -429,9 +409,11 @@ def _declared_size(name: str) -> tuple[float, Numbers]:
 
 def _unnamed_beside(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
     """One effect of the catalogue, and one that no catalogue holds."""
-    effects, amplitudes = _single(seed, random, recorder)
-    others, other_amplitudes = _uncatalogued(seed, random, recorder)
-    return {**effects, **others}, {**amplitudes, **other_amplitudes}
+    return _both(_single(seed, random, recorder), _uncatalogued(seed, random, recorder))
+
+
+def _both(one: tuple[Effects, Numbers], other: tuple[Effects, Numbers]) -> tuple[Effects, Numbers]:
+    return {**one[0], **other[0]}, {**one[1], **other[1]}
 
 
 def _none(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
@@ -443,9 +425,7 @@ def _pair(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[E
         first, second = (str(name) for name in random.choice(list(CATALOGUED), 2, replace=False))
         if not are_confusable(first, second):
             break
-    effects, amplitudes = _catalogued(first, random, recorder)
-    others, other_amplitudes = _catalogued(second, random, recorder)
-    return {**effects, **others}, {**amplitudes, **other_amplitudes}
+    return _both(_catalogued(first, random, recorder), _catalogued(second, random, recorder))
 
 
 def _uncatalogued(
@@ -460,10 +440,6 @@ def _uncatalogued(
     distance = moved / plain.position_noise * math.sqrt(measure.samples)
     size = share * size_at(distance, scale, effect_distance(measure, name, scale, shape, sign))
     return {name: scale.parameters(sign * size, shape)}, {name: share * moved * 1e6}
-
-
-def _weak(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
-    return _uncatalogued(seed, random, recorder, WEAK_SHARE)
 
 
 def _wrong_value(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
@@ -493,6 +469,11 @@ def _hard(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[E
     return {name: dict(values) for name, values in HARD[seed % len(HARD)].effects.items()}, {}
 
 
+def _actuator(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
+    missing = actuators.missing(seed)
+    return ({missing: {}} if missing else {}), {}
+
+
 HARD: Final = hard.cases()
 _mismatched_within: Final = _in_turn(EFFECTS, knowledge=Knowledge.WITHIN)
 _reluctance: Final = _in_turn(RELUCTANCE_EFFECTS, knowledge=Knowledge.WITHIN)
@@ -504,7 +485,7 @@ EXACT: Final[Mapping[str, Family]] = {
     "none": Family(_none, 1, 20, (0, 1, 2, 3)),
     "pair": Family(_pair, 1, 5, (2,)),
     "uncatalogued": Family(_uncatalogued, len(UNCATALOGUED), 5, (5,)),
-    "weak": Family(_weak, len(UNCATALOGUED), 5, (2,)),
+    "weak": Family(partial(_uncatalogued, share=WEAK_SHARE), len(UNCATALOGUED), 5, (2,)),
     "mismatched": Family(_in_turn(EFFECTS, MISMATCHED_LIMITS), len(EFFECTS), 5, (10,)),
     "opening": Family(_single, len(CATALOGUED), 4, (0,)),
     "at_limits": Family(_at_limits, len(CATALOGUED), len(CATALOGUED), ()),
@@ -522,15 +503,18 @@ WITHIN: Final[Mapping[str, Family]] = {
 }
 RECORDED: Final[Mapping[str, Family]] = {
     "imperfect": Family(_none, 42, 42, (), has_tolerances=True, laboratory=_one_imperfection),
-    "laboratory": Family(_none, 5, 5, (), has_tolerances=True, laboratory=_whole_laboratory),
+    "laboratory": Family(_none, 5, 5, (), has_tolerances=True, laboratory=_whole(LABORATORIES)),
     "beside": Family(
         _beside, len(CATALOGUED), len(CATALOGUED), (), has_tolerances=True, laboratory=_clear_imperfection
     ),
-    "mistake": Family(_none, len(MISTAKES), len(MISTAKES), (), has_tolerances=True, laboratory=_mistake, is_true=True),
-    "low_rate": Family(_every_other, 2 * len(CATALOGUED), 12, (), has_tolerances=True, laboratory=_low_rate),
+    "mistake": Family(
+        _none, len(MISTAKES), len(MISTAKES), (), has_tolerances=True, laboratory=_whole(MISTAKES), is_true=True
+    ),
+    "low_rate": Family(_every_other, 2 * len(CATALOGUED), 12, (), has_tolerances=True, laboratory=_whole(LOW_RATES, 2)),
 }
 """Of valves within their tolerances, recorded with errors; run where they are asked for by `--only`."""
 BENCHES: Final[Mapping[str, Family]] = {
+    "actuator": Family(_actuator, actuators.ROUND, actuators.ROUND, (), bench=actuators.bench),
     "hard": Family(_hard, len(HARD), len(HARD), (), bench=lambda seed, _: HARD[seed % len(HARD)].bench(),
                    wanted=dict.fromkeys(hard.FAULTS, 0.0)),
     "coil_none": Family(_none, 1, 3, (), bench=coil.bench, wanted=coil.WANTED),
@@ -546,7 +530,7 @@ FAMILIES: Final[Mapping[str, Family]] = {**EXACT, **WITHIN, **RECORDED, **BENCHE
 """In the order in which they are run and reported; those of `WITHIN` and `RECORDED` with tolerances."""
 
 
-def planned(rounds: range, families: tuple[str, ...], *, is_slice: bool) -> list[tuple[str, int]]:
+def planned(rounds: range, families: Collection[str], *, is_slice: bool) -> list[tuple[str, int]]:
     """Family and seed of every case."""
     return [
         (name, seed)
