@@ -7,15 +7,14 @@ import copy
 import math
 import sys
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from multiprocessing import get_context
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from identification.live_strokes import STROKE_SECONDS, LiveValve
 from scipy.stats import chi2
 
+from benchmarks.common import add_jobs, add_seeds, mapped, parser, say
 from benchmarks.monitoring import __doc__ as words_of_all
 from benchmarks.monitoring.rigs import (
     CoilRig,
@@ -24,7 +23,6 @@ from benchmarks.monitoring.rigs import (
     PositionRig,
     Watched,
     drawn_valve,
-    isolate,
     rising,
     watch,
     watch_healthy,
@@ -32,13 +30,7 @@ from benchmarks.monitoring.rigs import (
 from benchmarks.monitoring.sweep import changes as swept
 from valve_sim.files.parameter_files import load_valve
 from valve_sim.files.resources import config_path
-from valve_sim.identification.estimation.intervals import Interval, profile_interval
-from valve_sim.identification.estimation.problem import Problem
-from valve_sim.identification.estimation.solver import fit
-from valve_sim.identification.monitoring.fault_isolation import join
-from valve_sim.identification.monitoring.lift_times import starts_by_lift
 from valve_sim.identification.monitoring.settings import MonitorSettings
-from valve_sim.identification.plants.commissioned import CommissionedPlant
 
 ALARM_FORCE: Final = 7.5e-3
 """N: five detection limits with true stamps."""
@@ -46,6 +38,8 @@ NAME_FORCES: Final = {0.0: 7.5e-3, 50e-6: 38e-3}
 """N by s of jitter: five detection limits of each."""
 COMMISSIONING, GROWING, STAYING, SOON = 25, 50, 20, 5
 """Strokes: healthy ones first, of growth, after it, and of it within which an alarm is wanted."""
+REACHED: Final = COMMISSIONING + GROWING - 1
+"""The stroke that has all of the friction."""
 ROUND: Final = 8
 """Strokes, one of each voltage, of which a limit is reported."""
 NAMED: Final = 0.9
@@ -56,17 +50,40 @@ Effects = Mapping[str, Mapping[str, float]]
 Options = argparse.Namespace
 
 
-def say(is_good: bool, words: str) -> bool:
-    """Print a line that says whether a figure is as wanted; returns it."""
-    print(f"{'ok   ' if is_good else 'SHORT'} {words}", flush=True)
+class Grown(NamedTuple):
+    """Of friction that grew: the stroke of the first alarm, whether it was named rightly in the end, and what was said.
+
+    `ratio`: residual over noise before, where that was looked at.
+    """
+
+    alarmed: int | None
+    is_right: bool
+    words: str
+    ratio: float = 1.0
+
+
+def grown(seen: Watched, *, alone: bool, since: int = 0) -> Grown:
+    """What a monitor made of friction: its last isolation counts, if it is of stroke `since` or a later one."""
+    last = seen.isolated[-1] if seen.isolated else None
+    words = "nothing isolated" if last is None else f"{last.words}; {last.seconds:.0f} CPU s"
+    is_right = last is not None and last.stroke >= since and last.has_named(FRICTION, alone=alone)
+    return Grown(seen.alarmed, is_right, words)
+
+
+def soon_enough(rows: Sequence[Grown], reached: int, strokes: int, words: str) -> bool:
+    """Whether enough alarms came within so many strokes of friction's full size, which stroke `reached` had."""
+    late = [None if row.alarmed is None else max(0, row.alarmed - reached) for row in rows]
+    count = sum(one is not None and one <= strokes for one in late)
+    return say(count >= NAMED * len(rows), f"{words}alarm within {strokes} strokes in {count} of {len(rows)}: {late}")
+
+
+def named(rows: Sequence[Grown], words: str) -> bool:
+    """Whether enough of them named it; prints what each said."""
+    right = sum(row.is_right for row in rows)
+    is_good = say(right >= NAMED * len(rows), f"{words} in {right} of {len(rows)}")
+    for row in rows:
+        print(f"      {row.words}")
     return is_good
-
-
-def mapped(options: Options, work: Callable[[int], Any], items: Iterable[Any] = ()) -> list[Any]:
-    """What a picklable function makes of each seed, or item, in so many processes."""
-    chosen = list(items) or list(range(options.first, options.first + options.seeds))
-    with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
-        return list(pool.map(work, chosen))
 
 
 def few_alarms(rows: Sequence[Healthy], words: str) -> bool:
@@ -74,11 +91,6 @@ def few_alarms(rows: Sequence[Healthy], words: str) -> bool:
     total, alarms = sum(row.strokes for row in rows), sum(row.alarms for row in rows)
     most = max(1.0, 1e-3 * total)
     return say(alarms <= most, f"{words}: {alarms} alarms in {total} healthy strokes (at most {most:g})")
-
-
-def after(watched: Watched, reached: int) -> int | None:
-    """Strokes from having got to the full size until the first alarm; 0 if it came before."""
-    return None if watched.alarmed is None else max(0, watched.alarmed - reached)
 
 
 # --- by the position --------------------------------------------------------------------------------------------------
@@ -91,7 +103,7 @@ def healthy_of(seed: int, strokes: int) -> Healthy:
 
 def healthy(options: Options) -> bool:
     """Strokes without fault."""
-    rows = mapped(options, partial(healthy_of, strokes=-(-options.strokes // options.seeds)))
+    rows = mapped(partial(healthy_of, strokes=-(-options.strokes // options.seeds)), options)
     worst = max(abs(row.ratio - 1.0) for row in rows)
     each = sum(row.seconds for row in rows) / sum(row.strokes for row in rows)
     return all([
@@ -101,38 +113,25 @@ def healthy(options: Options) -> bool:
     ])  # fmt: skip
 
 
-def growth_of(seed: int, jitter: float, force: float, *, isolates: bool) -> Watched:
+def growth_of(seed: int, jitter: float, force: float, *, isolates: bool) -> Grown:
     """One seed of friction that grows."""
     forces = rising(force, COMMISSIONING, GROWING, STAYING + 1)
-    return watch(PositionRig(drawn_valve(seed, jitter)), forces, COMMISSIONING, isolates=isolates)
+    seen = watch(PositionRig(drawn_valve(seed, jitter)), forces, COMMISSIONING, isolates=isolates)
+    return grown(seen, alone=True)
 
 
 def growth(options: Options) -> bool:
     """Friction that grows, with true stamps and with others."""
-    good, reached = [], COMMISSIONING + GROWING - 1
+    good = []
     for jitter, force in NAME_FORCES.items():
-        words = f"stamps off by {1e6 * jitter:g} µs"
-        named: list[Watched] = mapped(options, partial(growth_of, jitter=jitter, force=force, isolates=True))
-        alarms = named
+        words = f"stamps off by {1e6 * jitter:g} µs, to"
+        rows = mapped(partial(growth_of, jitter=jitter, force=force, isolates=True), options)
+        alarms = rows
         if force != ALARM_FORCE:
-            alarms = mapped(options, partial(growth_of, jitter=jitter, force=ALARM_FORCE, isolates=False))
-        soon = [after(row, reached) for row in alarms]
-        right = sum(bool(row.isolated) and row.isolated[-1].has_named(FRICTION, alone=True) for row in named)
-        count, wanted = sum(one is not None and one <= SOON for one in soon), NAMED * options.seeds
-        words_soon = f"to {1e3 * ALARM_FORCE:g} mN: alarm within {SOON} strokes in {count} of {options.seeds}: {soon}"
-        good.append(say(count >= wanted, f"{words}, {words_soon}"))
-        good.append(
-            say(right >= wanted, f"{words}, to {1e3 * force:g} mN: the right name in {right} of {options.seeds}")
-        )
-        print_isolations(named)
+            alarms = mapped(partial(growth_of, jitter=jitter, force=ALARM_FORCE, isolates=False), options)
+        good.append(soon_enough(alarms, REACHED, SOON, f"{words} {1e3 * ALARM_FORCE:g} mN: "))
+        good.append(named(rows, f"{words} {1e3 * force:g} mN: the right name"))
     return all(good)
-
-
-def print_isolations(rows: Iterable[Watched]) -> None:
-    """What the last isolation of each seed said, and what it took."""
-    for row in rows:
-        last = row.isolated[-1] if row.isolated else None
-        print("      nothing isolated" if last is None else f"      {last.words}; {last.seconds:.0f} CPU s")
 
 
 ERRORS: Final = {"variation": 0.1, "drift": 1e-6, "hum": 0.5e-6}
@@ -149,8 +148,8 @@ def in_laboratory(seed: int, rate: float, strokes: int, *, is_plain: bool) -> He
     return watch_healthy(PositionRig(drawn_valve(seed, 50e-6, rate=rate, **errors)), strokes)
 
 
-def growth_in_laboratory(seed: int, rate: float) -> tuple[float, float, float, str, bool]:
-    """N at the first alarm, N where friction was first named alone, its limit, N; the last words; are they right."""
+def growth_in_laboratory(seed: int, rate: float) -> Grown:
+    """One seed of friction that grows among errors; its words begin with the friction at the alarm and at the name."""
     rig = PositionRig(drawn_valve(seed, 50e-6, rate=rate, **ERRORS))
     for _ in range(COMMISSIONING + ROUND):
         rig.stroke(0.0)
@@ -160,11 +159,11 @@ def growth_in_laboratory(seed: int, rate: float) -> tuple[float, float, float, s
     right = [one for one in seen.isolated if one.has_named(FRICTION, alone=True)]
 
     def force_at(stroke: int | None) -> float:
-        return math.nan if stroke is None else forces[max(0, stroke - begun)]
+        return math.nan if stroke is None else 1e3 * forces[max(0, stroke - begun)]
 
-    last = seen.isolated[-1] if seen.isolated else None
-    words = "nothing" if last is None else f"{last.words}; {last.seconds:.0f} CPU s"
-    return force_at(seen.alarmed), force_at(right[0].stroke if right else None), limit, words, last in right
+    at = f"alarm at {force_at(seen.alarmed):.0f} mN, named at {force_at(right[0].stroke if right else None):.0f}"
+    found = grown(seen, alone=True)
+    return found._replace(words=f"{at}, limit {1e3 * limit:.0f}: {found.words}")
 
 
 def laboratory(options: Options) -> bool:
@@ -175,7 +174,7 @@ def laboratory(options: Options) -> bool:
     for is_plain in (False, True) if options.strokes else ():
         rows: list[Healthy] = []
         for rate in options.rates:
-            own = mapped(options, partial(in_laboratory, rate=rate, strokes=each, is_plain=is_plain))
+            own = mapped(partial(in_laboratory, rate=rate, strokes=each, is_plain=is_plain), options)
             ratio, spent = sum(row.ratio for row in own) / len(own), sum(row.seconds for row in own)
             print(
                 f"      {rate:.0f} Hz: alarms {[row.alarms for row in own]}, residual over noise {ratio:.3f}, "
@@ -190,12 +189,8 @@ def laboratory(options: Options) -> bool:
         rates = f"{1e4 * low / total:.2g} to {1e4 * high / total:.2g} in 10,000 (95 %), declared {1e4 / declared:g}"
         good.append(say(is_good, f"{words}: {rates}"))
     for rate in options.rates:
-        grown = mapped(options, partial(growth_in_laboratory, rate=rate))
-        right = sum(is_right for *_, is_right in grown)
-        words = f"friction that grows to {1e3 * LABORATORY_FORCE:g} mN, {rate:.0f} Hz: the right name in {right}"
-        good.append(say(right >= NAMED * options.seeds, f"{words} of {options.seeds}"))
-        for alarm, named, limit, last, _ in grown:
-            print(f"      alarm at {1e3 * alarm:.0f} mN, named at {1e3 * named:.0f}, limit {1e3 * limit:.0f}: {last}")
+        words = f"friction that grows to {1e3 * LABORATORY_FORCE:g} mN, {rate:.0f} Hz: the right name"
+        good.append(named(mapped(partial(growth_in_laboratory, rate=rate), options), words))
     return all(good)
 
 
@@ -268,82 +263,54 @@ def coil_healthy_of(seed: int, strokes: int) -> Healthy:
     return watch_healthy(CoilRig(seed), strokes)
 
 
-def coil_growth_of(seed: int) -> Watched:
-    """One seed of friction that grows to five detection limits."""
+def coil_growth_of(seed: int) -> Grown:
+    """One seed of friction that grows to five detection limits; what is isolated before does not count."""
     rig = CoilRig(seed)
     forces = rising(FIVE * rig.detection_limit(), COMMISSIONING, COIL_GROWING, COIL_STAYING)
-    return watch(rig, forces, COMMISSIONING)
+    return grown(watch(rig, forces, COMMISSIONING), alone=False, since=COMMISSIONING + COIL_GROWING - 1)
 
 
 def coil(options: Options) -> bool:
     """A valve of which only the coil is seen."""
     good = []
     if options.strokes:
-        rows = mapped(options, partial(coil_healthy_of, strokes=-(-options.strokes // options.seeds)))
+        rows = mapped(partial(coil_healthy_of, strokes=-(-options.strokes // options.seeds)), options)
         good.append(few_alarms(rows, "by the current alone"))
-    grown: list[Watched] = mapped(options, coil_growth_of)
-    reached, wanted = COMMISSIONING + COIL_GROWING - 1, NAMED * options.seeds
-    soon = [after(row, reached) for row in grown]
-    count = sum(one is not None and one <= COIL_SOON for one in soon)
-    named = sum(
-        bool(row.isolated) and row.isolated[-1].stroke >= reached and row.isolated[-1].has_named(FRICTION, alone=False)
-        for row in grown
-    )
-    good.append(say(count >= wanted, f"alarm within {COIL_SOON} strokes in {count} of {options.seeds}: {soon}"))
-    good.append(say(named >= wanted, f"its class named within {COIL_STAYING} strokes in {named} of {options.seeds}"))
-    print_isolations(grown)
+    rows = mapped(coil_growth_of, options)
+    good.append(soon_enough(rows, COMMISSIONING + COIL_GROWING - 1, COIL_SOON, ""))
+    good.append(named(rows, f"its class named within {COIL_STAYING} strokes"))
     return all(good)
 
 
 GAS_HEALTHY, GAS_FAULTY, GAS_COMMISSIONING = 10, 20, 8
 
 
-def gas_of(seed: int, *, sizes: bool) -> tuple[str, bool, bool]:
-    """One seed: in words, whether the fault was named right, and whether its interval holds the truth.
-
-    `sizes`: the fault that there is is fitted, and no other looked for.
-    """
+def gas_of(seed: int) -> tuple[str, bool, bool]:
+    """One seed: in words, whether the fault was named right, and whether its interval holds the truth."""
     rig = GasRig(seed, GAS_COMMISSIONING)
     for _ in range(GAS_HEALTHY):
         rig.stroke()
     words, effect = f"{seed} | {rig.words} | {rig.name} {rig.truth:.6g} | ", rig.name.partition(".")[0]
-    for number in range(1, GAS_FAULTY + 1):
-        rig.stroke(True)
-        evidence = rig.monitor.stroke_monitor.take_evidence()
-        if not evidence:
-            continue
-        size: Interval | None
-        if sizes:
-            names, size, spent = (effect,), _sized(rig, evidence), 0.0
-        else:
-            found = isolate(evidence, rig, number)
-            names, size = found.finding.verdict.effects, found.finding.parameters.get(rig.name)
-            spent = found.seconds
-        is_right = names == (effect,)
-        is_held = is_right and size is not None and size.low <= rig.truth <= size.high
-        of_size = f"{size.value:.6g}, {size.low:.6g} to {size.high:.6g}" if size is not None else "–"
-        words += f"after {number} strokes {' + '.join(names) or 'nothing'} | {of_size} | {spent:.0f} CPU s"
-        return words, is_right, is_held
-    return f"{words}nothing isolated", False, False
-
-
-def _sized(rig: GasRig, evidence: Sequence[Any]) -> Interval:
-    """The size of the fault, as isolation fits it."""
-    baseline = rig.monitor.stroke_monitor.with_present_scatter()
-    trace = join(evidence, baseline)
-    plant = CommissionedPlant(trace, baseline.commissioned, baseline.scatter)
-    start = starts_by_lift(trace, baseline.valve)[rig.name.partition(".")[0]]
-    return profile_interval(fit(Problem(plant), (rig.name,), start, nuisances=plant.nuisances), rig.name)[0]
+    seen = watch(rig, [True] * GAS_FAULTY, 0, once=True)
+    if not seen.isolated:
+        return f"{words}nothing isolated", False, False
+    found = seen.isolated[0]
+    names, size = found.finding.verdict.effects, found.finding.parameters.get(rig.name)
+    is_right = names == (effect,)
+    is_held = is_right and size is not None and size.low <= rig.truth <= size.high
+    of_size = f"{size.value:.6g}, {size.low:.6g} to {size.high:.6g}" if size is not None else "–"
+    words += f"after stroke {found.stroke} {' + '.join(names) or 'nothing'} | {of_size} | {found.seconds:.0f} CPU s"
+    return words, is_right, is_held
 
 
 def gas(options: Options) -> bool:
     """A leak or a clogged pilot orifice that begins in service."""
-    rows = mapped(options, partial(gas_of, sizes=options.sizes))
+    rows = mapped(gas_of, options)
     for words, _, _ in rows:
         print(words)
     right, held = sum(is_right for _, is_right, _ in rows), sum(is_held for *_, is_held in rows)
-    words = f"{'sized' if options.sizes else 'named'} {right} of {options.seeds}"
-    return say(right >= NAMED * options.seeds, f"{words}; the interval of 95 % holds the truth in {held} of these")
+    words = f"named {right} of {options.seeds}; the interval of 95 % holds the truth in {held} of these"
+    return say(right >= NAMED * options.seeds, words)
 
 
 def topics(options: Options) -> bool:
@@ -359,13 +326,13 @@ def topics(options: Options) -> bool:
         good.append(few_alarms(rows, "on topics"))
         good.append(say(took < simulated, f"{took:.0f} s by the wall for {simulated:.0f} s of strokes"))
     forces = rising(ALARM_FORCE, COMMISSIONING, GROWING, STAYING + 1)
-    grown = growth_on_topics(seeds, forces, COMMISSIONING)
-    reached, wanted = COMMISSIONING + GROWING - 1, NAMED * options.seeds
-    soon = [None if alarmed is None else max(0, alarmed - reached) for alarmed, _, _ in grown]
-    count, right = sum(one is not None and one <= SOON for one in soon), sum(one == (FRICTION,) for _, one, _ in grown)
-    worst = max(abs(ratio - 1.0) for _, _, ratio in grown)
-    good.append(say(count >= wanted, f"alarm within {SOON} strokes in {count} of {options.seeds}: {soon}"))
-    good.append(say(right >= wanted, f"the right name within {STAYING} strokes in {right} of {options.seeds}"))
+    found = [
+        Grown(alarmed, names == (FRICTION,), " + ".join(names) or "nothing", ratio)
+        for alarmed, names, ratio in growth_on_topics(seeds, forces, COMMISSIONING)
+    ]
+    worst = max(abs(row.ratio - 1.0) for row in found)
+    good.append(soon_enough(found, REACHED, SOON, ""))
+    good.append(named(found, f"the right name within {STAYING} strokes"))
     good.append(say(worst < 0.1, f"residual over noise: within {worst:.1%} of 1 in each seed (10 %)"))
     return all(good)
 
@@ -378,23 +345,17 @@ PARTS: Final[Mapping[str, Callable[[Options], bool]]] = {
 
 def main() -> int:
     """Run and print; 1 if anything falls short."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.monitoring",
-        description=words_of_all,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("parts", nargs="+", choices=list(PARTS), metavar="PART", help=", ".join(PARTS))
-    parser.add_argument("--strokes", type=int, default=10_000, help="healthy strokes in all; 0: none (default: 10000)")
-    parser.add_argument("--seeds", type=int, default=10, help="of valves (default: 10)")
-    parser.add_argument("--first", type=int, default=0, help="the first seed")
-    parser.add_argument("--jobs", type=int, default=2, help="processes (default: 2)")
-    parser.add_argument("--rates", type=float, nargs="*", default=(500.0, 1000.0, 2000.0), help="Hz, of a laboratory")
-    parser.add_argument("--sizes", action="store_true", help="gas: fit the fault that there is, and look for no other")
-    parser.add_argument("--limits", type=float, default=3.3, help="sweep: size of each change, in reported limits")
-    parser.add_argument("--tanks", nargs="*", default=TANKS, help="sweep: which")
-    parser.add_argument("--only", default="", help="sweep: changes whose name has this in it")
-    parser.add_argument("--no-names", action="store_true", help="sweep: alarms only")
-    options = parser.parse_args()
+    known = parser("monitoring", words_of_all)
+    known.add_argument("parts", nargs="+", choices=list(PARTS), metavar="PART", help=", ".join(PARTS))
+    known.add_argument("--strokes", type=int, default=10_000, help="healthy strokes in all; 0: none (default: 10000)")
+    add_seeds(known)
+    add_jobs(known)
+    known.add_argument("--rates", type=float, nargs="*", default=(500.0, 1000.0, 2000.0), help="Hz, of a laboratory")
+    known.add_argument("--limits", type=float, default=3.3, help="sweep: size of each change, in reported limits")
+    known.add_argument("--tanks", nargs="*", default=TANKS, help="sweep: which")
+    known.add_argument("--only", default="", help="sweep: changes whose name has this in it")
+    known.add_argument("--no-names", action="store_true", help="sweep: alarms only")
+    options = known.parse_args()
     return 0 if all([PARTS[name](options) for name in options.parts]) else 1
 
 
