@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
+from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 from rich.console import Console
@@ -71,6 +73,12 @@ def mapped(work: Callable[[int], Any], options: argparse.Namespace) -> list[Any]
     seeds = range(options.first, options.first + options.seeds)
     found = {seed: future.result() for seed, future in in_processes(work, seeds, options.jobs)}
     return [found[seed] for seed in seeds]
+
+
+def resident(process: int | str = "self") -> float:
+    """Memory that a process holds now, MB; without its number, this one's."""
+    pages = int(Path(f"/proc/{process}/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def say(is_good: bool, words: str) -> bool:

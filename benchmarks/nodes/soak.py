@@ -13,7 +13,6 @@ and no drift. Exit code 1 where that falls short. Needs ROS 2; wall time is abou
 
 from __future__ import annotations
 
-import argparse
 import sys
 import tempfile
 from collections.abc import Callable
@@ -24,7 +23,8 @@ from identification.live_strokes import LiveValve
 from nodes.plant_on_topics import PlantOnTopics
 from nodes.ros_process import Probe, running
 
-from benchmarks.nodes.driver import resident, ros
+from benchmarks.common import parser, resident, say
+from benchmarks.nodes.driver import ros
 
 PERIOD: Final = 10.0
 """s from stroke to stroke."""
@@ -56,7 +56,7 @@ class Soaked(NamedTuple):
         """For people."""
         words = f"{self.strokes} strokes, {self.warm:.1f} MB after warming up, {self.end - self.warm:+.2f} MB since"
         lag = f", {self.lag:g} s behind the clock" if self.node == "valve_node" else ""
-        return f"{'ok   ' if self.is_good else 'SHORT'} {self.node:<20} {words}{lag}"
+        return f"{self.node:<20} {words}{lag}"
 
 
 def soak_valve(strokes: int, folder: Path) -> Soaked:
@@ -156,16 +156,16 @@ NODES: Final[dict[str, Callable[[int, Path], Soaked]]] = {
 
 def main() -> int:
     """Run and print; 1 if anything falls short."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--hours", type=float, default=24.0, help="of strokes")
-    parser.add_argument("--only", default=",".join(NODES), help=f"nodes, with commas (default: {','.join(NODES)})")
-    given = parser.parse_args()
-    rows = []
+    known = parser("nodes.soak", __doc__)
+    known.add_argument("--hours", type=float, default=24.0, help="of strokes")
+    known.add_argument("--only", default=",".join(NODES), help=f"nodes, with commas (default: {','.join(NODES)})")
+    given = known.parse_args()
+    good = []
     with ros(), tempfile.TemporaryDirectory() as name:
         for node in given.only.split(","):
-            rows.append(NODES[node](round(3600.0 * given.hours / PERIOD), Path(name)))
-            print(rows[-1].line(), flush=True)
-    return 0 if all(row.is_good for row in rows) else 1
+            row = NODES[node](round(3600.0 * given.hours / PERIOD), Path(name))
+            good.append(say(row.is_good, row.line()))
+    return 0 if all(good) else 1
 
 
 if __name__ == "__main__":
