@@ -269,7 +269,7 @@ def try_gas(random: Random, folder: Path) -> str:
 
 def try_slip(outcome: Outcome) -> str:
     """What became of a plant or a recording with a slip."""
-    assert not outcome.fault, f"{outcome.kind}: {outcome.fault}: {outcome.error}: {outcome.message[:200]}"
+    assert not outcome.fault, f"{outcome.fault}: {outcome.error}: {outcome.message[:200]}"
     return "refused" if outcome.error else "taken"
 
 
