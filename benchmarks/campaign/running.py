@@ -15,7 +15,7 @@ from plants.laboratory import drift_over_strokes, true_sizes
 from plants.recording import Recording
 
 from benchmarks.campaign.bench import Bench, Measured
-from benchmarks.campaign.cases import FORMED_OTHERWISE, Case, draw_case
+from benchmarks.campaign.cases import Case, draw_case
 from benchmarks.campaign.declared import as_trace
 from benchmarks.campaign.effects import UNCATALOGUED
 from benchmarks.common import in_processes
@@ -169,7 +169,7 @@ def is_in_class(case: Case, answer: Answer) -> bool:
 
 def is_unnamed(case: Case) -> bool:
     """Whether something acts that has no name: an uncatalogued effect, or a form that is not the declared one."""
-    return case.family in FORMED_OTHERWISE or any(name in UNCATALOGUED for name in case.truth)
+    return not case.origin.sheet or any(name in UNCATALOGUED for name in case.truth)
 
 
 def _plain(name: str) -> str:
