@@ -14,9 +14,9 @@ from valve_sim.identification.plants.protocol import Array
 from valve_sim.identification.plants.valve_pieces import Cut, cuts
 from valve_sim.identification.plants.valve_sensors import response_to
 from valve_sim.model import TOLERANCE, Drive, EventKind, Response, Valve
-from valve_sim.model.core.runs import Run
-from valve_sim.model.core.simulation import commands_of
 from valve_sim.model.response import Event
+from valve_sim.model.runs import Run
+from valve_sim.model.simulation import commands_of
 from valve_sim.traces import Trace
 
 STILL_SPEED: Final = 1e-5
