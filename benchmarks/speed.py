@@ -42,8 +42,7 @@ from valve_sim.files.parameter_files import default_valve
 from valve_sim.files.resources import config_path
 from valve_sim.identification.plants.protocol import Direction
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.model import Drive, EventKind, Valve, simulate
-from valve_sim.model.core import runs
+from valve_sim.model import Drive, EventKind, Valve, runs, simulate
 from valve_sim.model.live import Live
 from valve_sim.model.runs import Directions, run_sloped
 from valve_sim.model.simulation import run_numbers
