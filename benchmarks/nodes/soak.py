@@ -21,10 +21,10 @@ from typing import Any, Final, NamedTuple
 
 from identification.live_strokes import LiveValve
 from nodes.plant_on_topics import PlantOnTopics
-from nodes.ros_process import Probe, running
+from nodes.ros_process import Probe
 
 from benchmarks.common import parser, resident, say
-from benchmarks.nodes.driver import ros
+from benchmarks.nodes.driver import program, ros, running
 
 PERIOD: Final = 10.0
 """s from stroke to stroke."""
@@ -54,7 +54,7 @@ def soak_valve(strokes: int, folder: Path, probe: Probe) -> Iterator[Stroked]:
 
     clock, voltage = probe.talker("/clock", Clock), probe.talker("coil_voltage", Float64)
     states = probe.hear("joint_states", JointState)
-    with running(folder, arguments("use_sim_time:=true", f"publish_rate:={1.0 / TICK}")) as node:
+    with running({"node": program("valve_node", "use_sim_time:=true", f"publish_rate:={1.0 / TICK}")}) as started:
         assert probe.until(lambda: clock.get_subscription_count() and voltage.get_subscription_count())
         now = 10 * SECOND
 
@@ -77,7 +77,7 @@ def soak_valve(strokes: int, folder: Path, probe: Probe) -> Iterator[Stroked]:
                 if tick in (0, 2):
                     voltage.publish(Float64(data=0.0 if tick else 9.0))
                 lag = go_on()
-            yield Stroked(node.process.pid, stroke, lag / SECOND)
+            yield Stroked(started["node"].pid, stroke, lag / SECOND)
 
 
 def stamp_of(message: Any) -> int:
@@ -89,13 +89,13 @@ def soak_monitor(strokes: int, folder: Path, probe: Probe) -> Iterator[Stroked]:
     """The plant, and a monitor beside it."""
     plant = PlantOnTopics(probe, LiveValve(seed=1, rate=500.0))
     names = ("measured:=measured/joint_states", "use_sim_time:=true", "max_rate:=1e5")
-    with running(folder, arguments(*names), "monitor_node") as node:
+    with running({"node": program("monitor_node", *names)}) as started:
         plant.wait_for_monitor()
         for stroke in range(1, strokes + 1):
             plant.stroke()
             plant.take_reports()
             plant.forget()
-            yield Stroked(node.process.pid, stroke)
+            yield Stroked(started["node"].pid, stroke)
 
 
 def soak_identification(strokes: int, folder: Path, probe: Probe) -> Iterator[Stroked]:
@@ -104,17 +104,12 @@ def soak_identification(strokes: int, folder: Path, probe: Probe) -> Iterator[St
 
     commands, replayed = probe.hear("/identification/coil_voltage", Float64), 0.0
     names = (f"bag:={BAG}", "rate:=0.0", "loop:=true", f"output:={folder}")
-    with running(folder, arguments(*names), "identification_node") as node:
+    with running({"node": program("identification_node", *names)}) as started:
         while replayed < strokes:
             assert probe.until(lambda: len(commands) >= 20, 60.0), "the replay stands still"
             replayed += len(commands) / 2.0  # on and off
             commands.clear()
-            yield Stroked(node.process.pid, round(replayed))
-
-
-def arguments(*parameters: str) -> list[str]:
-    """Of a node with these parameters, name:=value."""
-    return ["--ros-args", *(word for parameter in parameters for word in ("-p", parameter))]
+            yield Stroked(started["node"].pid, round(replayed))
 
 
 NODES: Final[dict[str, Callable[[int, Path, Probe], Iterator[Stroked]]]] = {
