@@ -48,7 +48,7 @@ GROUPS: Final[dict[str, tuple[Benchmark, ...]]] = {
     "Fit and diagnosis, by independent plants": (
         Benchmark("coverage", "", "minutes", "--seeds 200"),
         Benchmark("coil_errors", "", "a minute"),
-        Benchmark("campaign", "", "minutes", "--slice"),
+        Benchmark("campaign", "", "ten minutes", "--slice"),
         Benchmark("campaign", "", "up to 60 s a case, 50 cases", "--only hard --seeds 1"),
         Benchmark("campaign", "", "up to 2 minutes a case, 6 a seed", "--only coil_none,coil_single"),
         Benchmark("campaign", "", "up to 2 minutes a case, 4 a seed", "--only outlet_none,outlet_single"),
@@ -62,7 +62,7 @@ GROUPS: Final[dict[str, tuple[Benchmark, ...]]] = {
     "Monitor": (
         Benchmark("monitoring", "", "hours", "healthy growth --strokes 10000 --seeds 10"),
         Benchmark("monitoring", "", "hours", "laboratory"),
-        Benchmark("monitoring", "", "minutes", "coil gas --seeds 12"),
+        Benchmark("monitoring", "", "half an hour", "coil gas --seeds 12"),
         Benchmark("monitoring", "", "an hour", "sweep"),
         Benchmark("monitoring", ROS, "hours", "topics --strokes 10000 --seeds 10"),
     ),
