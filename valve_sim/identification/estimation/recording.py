@@ -85,6 +85,6 @@ def likely_stamps(
         except SimulationError:
             residuals = np.full(count, np.inf)
         costs.append(np.log1p(np.square(residuals / ROBUST)))
-    reaches = {own.name: problem.reach(own) for own in stamps}
+    reaches = {own.name: problem.every_row.reach(own) for own in stamps}
     best = {name: int(np.argmin([cost[reach].sum() for cost in costs])) for name, reach in reaches.items()}
     return {name: draws[index][name] for name, index in best.items()}

@@ -9,8 +9,14 @@ from typing import Final
 
 import numpy as np
 
-from valve_sim.identification.estimation.descent import WHOLE, Descent, End, SolverOptions
-from valve_sim.identification.estimation.descent_in_sums import DescentInSums, NotInPieces
+from valve_sim.identification.estimation.descent import (
+    WHOLE,
+    Descent,
+    DescentInSums,
+    End,
+    NotInPieces,
+    SolverOptions,
+)
 from valve_sim.identification.estimation.gram import sum_squares
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit, MachineKnowledge, Rows
@@ -69,10 +75,10 @@ def _rows(
     known: tuple[Array | None, Array | None],
 ) -> tuple[Rows, Rows]:  # fmt: skip
     """Residuals and derivatives at an end, of each sample and of the rows that were fitted."""
-    has_fewer = not isinstance(problem_rows := fitted.rows, Problem)
+    has_fewer = fitted.rows is not fitted.every_row
     left = Rows(
         functools.partial(whole.residuals, values),
-        functools.partial(problem_rows.residuals, values) if has_fewer else None,
+        functools.partial(fitted.rows.residuals, values) if has_fewer else None,
         known[0],
     )
     derivatives = Rows(
