@@ -182,7 +182,7 @@ def test_lengths_are_shares_of_a_stroke_however_many_recordings_there_are() -> N
     own = problem()
     alone = lengths_of(own.plant, own.rows.places)
     assert alone == pytest.approx([share * 0.5 * 45 * STEP for share in SHARES])
-    places, others = own.rows.places, own.places
+    places = others = own.rows.places
     several = places._replace(
         channel=np.concatenate([places.channel, *(others.channel + 2 * number for number in (1, 2, 3))]),
         stroke=np.concatenate([places.stroke, *(others.stroke + 2 * number for number in (1, 2, 3))]),

@@ -9,7 +9,7 @@ from identification.recordings import recorded
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.plants import valve_pieces
 from valve_sim.identification.validation import motion
-from valve_sim.identification.validation.motion import motion_of
+from valve_sim.identification.validation.replay import motion_of
 from valve_sim.model import simulate
 from valve_sim.traces import Signal
 

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from valve_sim.files.plant_files import InputEntry, OutputEntry, PlantFile, PlantFileError
 from valve_sim.files.recording_map import MapError
-from valve_sim.identification.plants.advice import Advice
 from valve_sim.identification.plants.protocol import (
+    Advice,
     Array,
     Channel,
     Direction,

@@ -18,7 +18,7 @@ from valve_sim.identification.diagnosis.run import Diagnosis
 from valve_sim.identification.estimation.declared_values import declared_values
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.plants.own import OwnPlant
-from valve_sim.identification.reporting.intervals import interval_lines, intervals_json
+from valve_sim.identification.reporting.findings import interval_lines, intervals_json
 from valve_sim.identification.reporting.units import quantity
 from valve_sim.model.core.own.grammar import Expr, names_in
 from valve_sim.model.core.own.units import text_of
