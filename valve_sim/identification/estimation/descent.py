@@ -61,9 +61,6 @@ STANDING: Final = Direction({}, 1.0)
 """In place of one whose derivative is infinite: along which nothing changes."""
 FEW: Final = 4
 """Up to this many nuisances, derivatives are renewed in every step; of more they are reused while they serve."""
-MOST_NUISANCES: Final = 64
-"""Nuisances of a fit in sums: beyond, as with an error of each command's stamp, most derivatives are 0, and are better
-held in columns."""
 
 
 class SolverOptions(NamedTuple):
@@ -425,7 +422,7 @@ class Descent:
 
 
 class NotInPieces(Exception):  # noqa: N818 -- internal: the fit is made as that of a short recording
-    """A derivative is not known, or there are too many."""
+    """A derivative is not known."""
 
 
 class DescentInSums(Descent):
@@ -436,18 +433,6 @@ class DescentInSums(Descent):
     """
 
     holds_rows = False
-
-    def __init__(
-        self,
-        problem: Problem,
-        free: tuple[str, ...],
-        nuisances: tuple[Nuisance, ...],
-        fixed: dict[str, float],
-        prior: MachineKnowledge | Smoothness | None,
-    ) -> None:
-        if len(nuisances) > MOST_NUISANCES:
-            raise NotInPieces
-        super().__init__(problem, free, nuisances, fixed, prior)
 
     def begin(self, at: Array, begun: Fit | None) -> tuple[Array, Array]:
         """As of `Descent`; nothing is taken over from a fit that is gone on with but where it is."""

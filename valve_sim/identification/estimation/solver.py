@@ -30,6 +30,10 @@ FAR_WITH_GAS: Final = 10.0
 """χ² of a sample, 3 σ, beyond which dampings are held as well: a recording that lacks nothing began at 5.6 σ, and with
 dampings free its fit ended 240 in χ² above where it ends if they are held first."""
 
+MOST_NUISANCES: Final = 64
+"""Nuisances of a fit in sums: beyond, as with an error of each command's stamp, most derivatives are 0, and are better
+held in columns."""
+
 _OfFit = tuple[tuple[str, ...], tuple[Nuisance, ...], dict[str, float], "MachineKnowledge | Smoothness | None"]
 
 
@@ -93,7 +97,7 @@ def _descended(
     problem: Problem, of_fit: _OfFit, start: Mapping[str, float] | Fit, effort: SolverOptions
 ) -> tuple[Descent, End]:
     """The search and where it ended; of many residuals without holding them, where that can be."""
-    if problem.is_long:
+    if problem.is_long and len(of_fit[1]) <= MOST_NUISANCES:
         with contextlib.suppress(NotInPieces):
             return _from_start(DescentInSums, problem, of_fit, start, effort)
     return _from_start(Descent, problem, of_fit, start, effort)
