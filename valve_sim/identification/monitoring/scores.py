@@ -15,6 +15,7 @@ that effect (the matched filter; Kay, Fundamentals of Statistical Signal Process
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -35,14 +36,14 @@ from valve_sim.identification.estimation.structured_noise import structured_nois
 from valve_sim.identification.monitoring.command_timing import UNINFORMATIVE
 from valve_sim.identification.monitoring.stroke_delays import rough_shifts, start_before
 from valve_sim.identification.plants.commissioned import Commissioned, CommissionedCurrent, commission_current
-from valve_sim.identification.plants.protocol import SMALL_MOVE, Array, Nuisance, perturbed
+from valve_sim.identification.plants.protocol import Array, Nuisance, perturbed
 from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA
 from valve_sim.identification.plants.root_mean_square import root_mean_square
 from valve_sim.identification.plants.valve import DAMPINGS, ValvePlant, dampings_of
 from valve_sim.identification.plants.valve_sensors import as_it_began
 from valve_sim.identification.plants.variation import VARIATION
 from valve_sim.identification.selection.residual_tests import moving_residuals
-from valve_sim.identification.selection.score_test import switched_on
+from valve_sim.identification.selection.score_test import moves_of
 from valve_sim.model import EXACT, SimulationError, Valve, simulate
 from valve_sim.traces import Trace
 
@@ -317,18 +318,16 @@ class _Stroke:
         return min((result, again), key=lambda found: found.chi2)
 
     def effect_directions(self, result: Fit) -> Iterator[tuple[str, Array]]:
-        """Names, and the change of the whitened residual by a small effect of each: dampings and the catalogue."""
+        """Names, and the change of the residuals by a small effect of each: dampings and the catalogue."""
         plant = self._plant
         for name in plant.base:
-            yield from self._direction(result, name, {name: perturbed(plant.parameter(name), plant.declared(name))})
+            values = {**result.values, name: perturbed(plant.parameter(name), plant.declared(name))}
+            with contextlib.suppress(SimulationError):
+                yield name, self.problem.residuals(values) - result.residuals
         for effect in plant.effects.values():
-            for switch in effect.parameters:
-                if switch.off is not None:
-                    values = switched_on(effect, switch, SMALL_MOVE)
-                    single = sum(p.off is not None for p in effect.parameters) == 1
-                    yield from self._direction(
-                        result, effect.name if single else f"{effect.name}.{switch.name}", values
-                    )
+            is_single = sum(own.off is not None for own in effect.parameters) == 1
+            for move in next(moves_of(result, effect), []):
+                yield effect.name if is_single else f"{effect.name}.{move.switch.name}", move.change
 
     def delay_directions(self, result: Fit) -> Iterator[tuple[str, Array]]:
         """What errors of the first and the last stamp change, where these are scored."""
@@ -347,13 +346,6 @@ class _Stroke:
         (shown,) = result.shown()
         channel = self._plant.channels[0]
         return root_mean_square(channel.kept(channel.data - shown))
-
-    def _direction(self, result: Fit, name: str, values: Mapping[str, float]) -> Iterator[tuple[str, Array]]:
-        try:
-            changed = self.problem.residuals({**result.values, **values})
-        except SimulationError:
-            return
-        yield name, changed - result.residuals
 
     def _shifts(self) -> list[Nuisance]:
         errors = list(self._plant.timing_errors)
