@@ -45,9 +45,9 @@ from valve_sim.identification.plants.protocol import Direction
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import Drive, EventKind, Valve, simulate
 from valve_sim.model.core import runs
-from valve_sim.model.core.live import Live
-from valve_sim.model.core.runs import Directions, run_sloped
-from valve_sim.model.core.simulation import run_numbers
+from valve_sim.model.live import Live
+from valve_sim.model.runs import Directions, run_sloped
+from valve_sim.model.simulation import run_numbers
 from valve_sim.traces import Trace, read_trace, write_bag
 
 Work = Callable[[], object]

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from valve_sim.files.recording_map import load_map
     from valve_sim.identification.estimation.budget import Budget
     from valve_sim.model.drives import Drive
-    from valve_sim.model.simulation import Valve
+    from valve_sim.model.valve import Valve
 
 __version__ = "0.2.0"
 
@@ -79,7 +79,7 @@ _MODULES: Final = {
     "files.recording_map": ("load_map",),
     "identification.estimation.budget": ("Budget",),
     "model.drives": ("Drive",),
-    "model.simulation": ("Valve",),
+    "model.valve": ("Valve",),
 }
 _HOMES: Final = {name: module for module, names in _MODULES.items() for name in names}
 

@@ -22,9 +22,9 @@ from valve_sim.identification.plants.protocol import Direction
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import CATALOGUE, Drive, Stepper, Valve, ValveError, simulate, simulate_many
 from valve_sim.model.core.machine import when_compiling
-from valve_sim.model.core.runs import WIDTHS
 from valve_sim.model.gas import GasParameters
 from valve_sim.model.gas.line import Gas, Line
+from valve_sim.model.runs import WIDTHS
 from valve_sim.traces import Trace
 
 COMPILING: Final = "compiling the model for this machine, once"

@@ -17,8 +17,8 @@ from matplotlib.figure import Figure
 import valve_sim as vs
 from valve_sim.identification.monitoring.cusum import SCORE_LIMIT, threshold_for
 from valve_sim.model.core import layout
-from valve_sim.model.core.live import Live
 from valve_sim.model.drives import step
+from valve_sim.model.live import Live
 from valve_sim.model.simulation import TOLERANCE
 from valve_sim.traces import read_trace
 from valve_sim.traces.synthetic import Sensor, record

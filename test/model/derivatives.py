@@ -10,8 +10,8 @@ import numpy as np
 
 from model.random_valves import random_valve
 from valve_sim.model import Drive, Event, Valve, simulate
-from valve_sim.model.core.runs import Directions, Run
-from valve_sim.model.core.simulation import commands_of
+from valve_sim.model.runs import Directions, Run
+from valve_sim.model.simulation import commands_of
 
 TIGHT, TIGHTEST = 1e-11, 1e-13
 """Of a step: of the derivatives, whose steps are those of the plain trace, and of what they are held against."""

@@ -10,11 +10,10 @@ import pytest
 
 from valve_sim.model import CATALOGUE, Drive, Effect, EventKind, Parameter, Phase, Stepper, Valve, simulate
 from valve_sim.model.core.plan import entry
-from valve_sim.model.core.simulation import commands_of
 from valve_sim.model.core.symbols import Motion, Own
 from valve_sim.model.core.tracer import Node, where
 from valve_sim.model.core_types import Outcome
-from valve_sim.model.simulation import TOLERANCE
+from valve_sim.model.simulation import TOLERANCE, commands_of
 
 HOUR = 3600.0
 MOST = 100_000

@@ -16,9 +16,10 @@ if TYPE_CHECKING:
     from valve_sim.model.errors import ParameterError, SimulationError, ValveError
     from valve_sim.model.parameters import DECLARED, Parameter, ValveParameters
     from valve_sim.model.response import Event, Response, published_times
-    from valve_sim.model.simulation import TOLERANCE, Valve, simulate, simulate_many
-    from valve_sim.model.stepper import CoilReading, Reading, Stepper
+    from valve_sim.model.simulation import TOLERANCE, simulate, simulate_many
+    from valve_sim.model.stepper import CoilReading, Reading, Stepper, can_open
     from valve_sim.model.tolerances import EXACT, Tolerances
+    from valve_sim.model.valve import Valve
 
 __all__ = [
     "CATALOGUE",
@@ -43,6 +44,7 @@ __all__ = [
     "Valve",
     "ValveError",
     "ValveParameters",
+    "can_open",
     "published_times",
     "simulate",
     "simulate_many",
@@ -55,9 +57,10 @@ _MODULES: Final = {
     "errors": ("ParameterError", "SimulationError", "ValveError"),
     "parameters": ("DECLARED", "Parameter", "ValveParameters"),
     "response": ("Event", "Response", "published_times"),
-    "simulation": ("TOLERANCE", "Valve", "simulate", "simulate_many"),
-    "stepper": ("CoilReading", "Reading", "Stepper"),
+    "simulation": ("TOLERANCE", "simulate", "simulate_many"),
+    "stepper": ("CoilReading", "Reading", "Stepper", "can_open"),
     "tolerances": ("EXACT", "Tolerances"),
+    "valve": ("Valve",),
 }
 _HOMES: Final = {name: module for module, names in _MODULES.items() for name in names}
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,11 +12,6 @@ from numpy.typing import NDArray
 from valve_sim.model.core_types import EventKind
 
 Array = NDArray[np.float64]
-
-_KINDS: Final = tuple(EventKind)
-
-EVENT_ROOM: Final = 256
-"""Events for which there is room at first; a run with more is repeated."""
 
 
 class Event(NamedTuple):

@@ -1,245 +1,46 @@
-"""Simulation of a whole trace, or of many parameter sets at once, by the one compiled core."""
+"""Simulation of a whole trace, of one valve or of many at once."""
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+import math
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from valve_sim.model.core import simulation as core
-from valve_sim.model.core.equations import NEUTRAL
-from valve_sim.model.core.live import Live
-from valve_sim.model.core.plan import Plan, plan_of
-from valve_sim.model.core.symbols import Own
-from valve_sim.model.core.tracer import Node, Trace
-from valve_sim.model.core.valve import why_no_flux
-from valve_sim.model.core_types import Phase
+from valve_sim.model.core import layout
+from valve_sim.model.core.driver import CHANGES, LONGEST_RUN, MOST_STEPS
+from valve_sim.model.core.machine import made_once
+from valve_sim.model.core.plan import entry, method
+from valve_sim.model.core.samples import GAS_COLUMNS, ROW_COLUMNS
+from valve_sim.model.core_types import EventKind, Outcome
 from valve_sim.model.drives import Drive, Supply
-from valve_sim.model.effects import CATALOGUE, Effect, check_effects
-from valve_sim.model.errors import ParameterError, SimulationError
-from valve_sim.model.gas import GasParameters, check_gas
-from valve_sim.model.parameters import POLYNOMIAL_NAMES, ValveParameters, check_declared, check_geometry
-from valve_sim.model.response import Response
-from valve_sim.model.tolerances import EXACT, Tolerances
+from valve_sim.model.errors import SimulationError
+from valve_sim.model.response import Event, Response
+from valve_sim.model.valve import Valve
 
 Array = NDArray[np.float64]
 
 TOLERANCE: Final = 1e-10
 """Relative error of one step; against a 1e-13 reference it leaves events of random valves within 1e-11 s, where ten
 times as much leaves them within 6e-11 s (`python -m benchmarks.accuracy`)."""
+EVENT_ROOM: Final = 256
+"""Events for which there is room at first; a run with more is repeated."""
+_KINDS: Final = tuple(EventKind)
 
 
-OF_TWO_PLUNGERS: Final = ("gap_offset", "pickup_impact")
-"""Effects that a valve with one plunger cannot have."""
+def most_steps(duration: float) -> int:
+    """Largest number of steps that a run of a duration, s, may take."""
+    return int(MOST_STEPS * (1.0 + max(0.0, min(duration, LONGEST_RUN))))
 
 
-_POLYNOMIAL: Final = ValveParameters._fields.index("attraction_polynomial")
-"""Its place among the declared parameters, where its coefficients stand one by one."""
-
-
-ALWAYS: Final = (
-    "coil_lag", "drive_gain", "gap_offset", "rest_attraction", "sensor_bandwidth", "sensor_delay", "sensor_gain",
-    "stop_bounce", "stroke_offset",
-)  # fmt: skip
-"""Effects that only change numbers, and at their neutral values none: every valve's equations have them, so that
-valves with and without share compiled code."""
-_NOTHING: Final[Mapping[str, float]] = {}
-
-
-@functools.cache
-def _neutral(effect: Effect) -> dict[str, float]:
-    return effect.neutral_values()
-
-
-@dataclass(frozen=True)
-class Valve:
-    """A valve to simulate: the declared parameters, and the effects that are on.
-
-    Attributes:
-        parameters: the declared valve.
-        effects: effect name to its parameters, e.g. {"coulomb_friction": {"force": 0.3}}.
-        tolerances: how well these values are known; changes nothing of the motion.
-        gas: what flows through it; None for a valve on a bench, without gas.
-    """
-
-    parameters: ValveParameters = field(default_factory=ValveParameters)
-    effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    tolerances: Tolerances = EXACT
-    gas: GasParameters | None = None
-
-    @classmethod
-    def from_mapping(cls, values: Mapping[str, Any], source: str) -> Valve:
-        """A checked valve from {"valve": {...}, "effects": {...}, "tolerances": {...}, "gas": {...}}, all optional.
-
-        Args:
-            values: as found in a parameter file.
-            source: the file or node, for messages.
-
-        Raises:
-            ParameterError: anything unknown, of the wrong type or out of range; the message names it.
-        """
-        parameters = check_declared(dict(values.get("valve") or {}), source)
-        effects = check_effects(values.get("effects") or {}, source)
-        gas = check_gas(values["gas"], source) if values.get("gas") else None
-        tolerances = Tolerances.from_mapping(values.get("tolerances") or {}, source, effects, has_gas=gas is not None)
-        tolerances.check_against(parameters, source)
-        if parameters.has_one_plunger:
-            _check_one_plunger(effects, gas, source)
-        if gas is not None:
-            _check_beside_gas(parameters, effects, source)
-        else:
-            _check_without_gas(effects, source)
-        valve = cls(parameters, effects, tolerances, gas)
-        gap, stroke = valve.after_effects("pilot_gap", "stroke")
-        check_geometry(gap, stroke, f"{source} (with effects)", has_one_plunger=parameters.has_one_plunger)
-        if why_not := valve.why_no_flux():
-            raise ParameterError(f"{source}: effects.{why_not}")
-        return valve
-
-    def plan(self, width: int = 0) -> Plan:
-        """What is compiled for its effects, with so many directions of derivatives."""
-        effects = tuple([CATALOGUE[name] for name in (*self._own_effects(), *ALWAYS)])
-        gas = self.gas
-        return plan_of(
-            effects, self._shapes(), width, freewheels=self.parameters.release_voltage > 0.0, has_gas=gas is not None,
-            has_demand=gas is not None and gas.demand_orifice_diameter > 0.0,
-        )  # fmt: skip
-
-    def _own_effects(self) -> list[str]:
-        """The effects for which equations are compiled."""
-        return [name for name in self.effects if name not in ALWAYS]
-
-    def numbers(self) -> Array:
-        """Its numbers in the order of its plan's parameters; a parameter of an effect that is not given is neutral."""
-        before, polynomial, after = (
-            self.parameters[:_POLYNOMIAL], self.parameters[_POLYNOMIAL], self.parameters[_POLYNOMIAL + 1 :],
-        )  # fmt: skip
-        values = [*before, *polynomial, *after]  # type: ignore[misc]
-        for name in (*self._own_effects(), *ALWAYS):
-            # In the order of the parameters.
-            values += {**_neutral(CATALOGUE[name]), **self.effects.get(name, _NOTHING)}.values()
-        if self.gas is not None:
-            values += self.gas.numbers()
-        return np.array(values)
-
-    def after_effects(self, *names: str) -> list[float]:
-        """Its numbers as its effects leave them, by their names in `core.equations`."""
-        declared = {**NEUTRAL, **self.declared()}
-        found: list[Any] = [declared[name] for name in names]
-        trace: Trace | None = None
-        for effect, given in self.effects.items():
-            entry = CATALOGUE[effect]
-            changed = [place for place, name in enumerate(names) if name in entry.changes]
-            if changed:
-                trace = trace or Trace()
-                numbers = {**_neutral(entry), **given}
-                own = Own(**{name: trace.constant(value) for name, value in numbers.items()})
-                for place in changed:
-                    found[place] = trace.lift(entry.changes[names[place]](trace.lift(found[place]), own))
-        return [float(own.value or 0.0) if isinstance(own, Node) else float(own) for own in found]
-
-    def _shapes(self) -> tuple[float, ...]:
-        """The values of the parameters that shape its effects."""
-        entries = [CATALOGUE[name] for name in self._own_effects()]
-        return tuple(
-            [{**_neutral(entry), **self.effects[entry.name]}[name] for entry in entries for name in entry.shapes]
-        )
-
-    def why_no_flux(self) -> str:
-        """Why no current follows from its flux, for a message; empty where it does, or is not modelled."""
-        effects = [CATALOGUE[name] for name in (*self._own_effects(), *ALWAYS)]
-        return why_no_flux(effects, self._shapes(), self.numbers().tolist())
-
-    def to_mapping(self) -> dict[str, dict[str, Any]]:
-        """The plain mapping that `from_mapping` takes back."""
-        declared = self.parameters._asdict()
-        declared["attraction_polynomial"] = list(self.parameters.attraction_polynomial)
-        mapping: dict[str, dict[str, Any]] = {"valve": declared}
-        if self.effects:
-            mapping["effects"] = {name: CATALOGUE[name].packed(values) for name, values in self.effects.items()}
-        if self.gas is not None:
-            mapping["gas"] = self.gas._asdict()
-        if tolerances := self.tolerances.to_mapping():
-            mapping["tolerances"] = tolerances
-        return mapping
-
-    def declared(self) -> dict[str, float]:
-        """The declared scalars by name, the polynomial as a0 … a3."""
-        values = self.parameters._asdict()
-        polynomial = values.pop("attraction_polynomial")
-        return {**values, **dict(zip(POLYNOMIAL_NAMES, polynomial, strict=True))}
-
-    def with_values(self, **values: float) -> Valve:
-        """This valve with some declared scalars (a0 … a3 among them) replaced.
-
-        Raises:
-            ParameterError: no such scalar.
-        """
-        declared = self.declared()
-        for name, value in values.items():
-            if name not in declared:
-                raise ParameterError(f"valve.{name}: no such parameter")
-            declared[name] = value
-        polynomial = tuple(declared.pop(name) for name in POLYNOMIAL_NAMES)
-        parameters = ValveParameters(**declared, attraction_polynomial=polynomial)  # type: ignore[arg-type]
-        return replace(self, parameters=parameters)
-
-    def exact(self) -> Valve:
-        """This valve with its values taken as exact: without tolerances, but for the sensor's."""
-        return replace(self, tolerances=Tolerances(sensor=self.tolerances.sensor))
-
-    def can_open(self) -> bool:
-        """Whether the reference voltage, held without end, would lift the pilot plunger off its seat."""
-        voltage, *lags = self.after_effects("reference_voltage", "coil_time_constant", "eddy_time_constant")
-        settled = 50.0 * sum(lags) + 1e-3
-        valve = Live.at_rest(self, 0.0, TOLERANCE)
-        valve.command(voltage)
-        valve.step(settled, commit=True)
-        return bool(valve.row[4] != Phase.CLOSED)
-
-
-def _check_one_plunger(effects: Mapping[str, Mapping[str, float]], gas: GasParameters | None, source: str) -> None:
-    """What is declared beside a pilot_gap of 0 must not need a pilot plunger."""
-    for name in OF_TWO_PLUNGERS:
-        if name in effects:
-            raise ParameterError(
-                f"{source}: effects.{name}: found beside valve.pilot_gap 0, a valve with one plunger, which picks "
-                "nothing up; take the effect out, or declare the gap"
-            )
-    if gas is not None:
-        raise ParameterError(
-            f"{source}: gas: found beside valve.pilot_gap 0, a valve with one plunger, but gas equalises through the "
-            "orifice of a pilot plunger; take the group gas out, or declare the gap"
-        )
-
-
-def _check_beside_gas(parameters: ValveParameters, effects: Mapping[str, Mapping[str, float]], source: str) -> None:
-    """Refuse declared values that contradict a valve with gas."""
-    for name in effects:
-        if not CATALOGUE[name].is_of(has_gas=True):
-            raise ParameterError(
-                f"{source}: effects.{name}: found beside gas, with which it cannot act: gas has the pressure across "
-                "the main plunger itself, and its stop is rigid; take one of the two out"
-            )
-    if not parameters.seat_load > 0.0:
-        raise ParameterError(
-            f"{source}: valve.seat_load: found {parameters.seat_load:g} N beside gas, expected above 0 N: without it "
-            "a pilot plunger at equal pressures floats on its seat"
-        )
-
-
-def _check_without_gas(effects: Mapping[str, Mapping[str, float]], source: str) -> None:
-    """Refuse effects that only a valve with gas has."""
-    for name in effects:
-        if not CATALOGUE[name].is_of(has_gas=False):
-            raise ParameterError(
-                f"{source}: effects.{name}: found without gas, of which it is an effect; declare the group gas, or "
-                "take the effect out"
-            )
+def start_of(drive: Drive, times: Array) -> float:
+    """When a run begins unless it is said: at the first command or sample, s."""
+    start = min(drive.times[0] if len(drive.times) else math.inf, times[0] if len(times) else math.inf)
+    return float(start) if math.isfinite(start) else 0.0
 
 
 def simulate(
@@ -258,13 +59,156 @@ def simulate(
         drive: the commanded voltage.
         sample_times: (n,) s, ascending.
         tolerance: relative error of one step.
+        supply: of a valve with gas: pressures in place of the declared ones.
         start_time: s; the valve rests closed until then. Default: the first command or sample.
-        supply: of a valve with gas: pressures at its ends in place of the declared ones.
 
     Raises:
         SimulationError: the run could not be carried to its end.
     """
-    return core.simulate(valve, drive, sample_times, tolerance=tolerance, start_time=start_time, supply=supply)
+    times = np.ascontiguousarray(sample_times, dtype=np.float64)
+    start = start_of(drive, times) if start_time is None else start_time
+    plan, count, room, columns = valve.plan(), len(times), EVENT_ROOM, columns_of(valve)
+    numbers, commands = valve.numbers(), commands_of(drive, supply, start)
+    end = float(times[-1]) if count else -math.inf
+    while True:
+        memory = np.empty(layout.SIZE + 4 * room + columns * count)
+        outcome = _whole()(plan.blank, numbers, commands, times, memory, start, end, tolerance)
+        if outcome:
+            check_geometry(memory)
+            check_outcome(outcome)
+        found = int(memory[layout.COUNT])
+        if found <= room:
+            break
+        room = found
+    logged = memory[layout.SIZE : layout.SIZE + 4 * found].reshape(-1, 4).tolist()
+    rows = memory[layout.SIZE + 4 * room :].reshape(count, columns)
+    outlet, flow = rows[:, ROW_COLUMNS:].T if columns > ROW_COLUMNS else (None, None)
+    # A frozen dataclass sets each of its attributes by a call; all of these together take as long as the run.
+    response = Response.__new__(Response)
+    vars(response).update(
+        time=times, pilot_position=rows[:, 0], main_position=rows[:, 1], pilot_velocity=rows[:, 2],
+        coil_current=rows[:, 8], attraction=rows[:, 3], phase=rows[:, 4].astype(np.uint8),
+        events=tuple([Event(t, _KINDS[int(kind)], x, v) for t, kind, x, v in logged]), coil_voltage=rows[:, 6],
+        has_one_plunger=bool(memory[layout.ONE_PLUNGER]), outlet_pressure=outlet, mass_flow=flow,
+    )  # fmt: skip
+    return response
+
+
+@made_once
+def _whole() -> Any:
+    """The run of one valve, as a function of arrays."""
+    return method("whole").bound(0)
+
+
+def commands_of(drive: Drive, supply: Supply | None = None, start: float = -math.inf) -> Array:
+    """(c, `driver.CHANGES`) s, V, and what changes of pressures, in the order of time.
+
+    Args:
+        drive: the commanded voltage. supply: pressures of a valve with gas, from a start on, s.
+    """
+    commands = np.full((len(drive.times), CHANGES), math.nan)
+    commands[:, 0], commands[:, 1] = drive
+    if supply is None:
+        return commands
+    pressures = supply.changes(start)
+    both = np.concatenate([commands, np.insert(pressures, 1, math.nan, axis=1)])
+    return both[np.argsort(both[:, 0], kind="stable")]
+
+
+def columns_of(valve: Valve) -> int:
+    """How many columns a whole row of output has: see `samples.ROW_COLUMNS`."""
+    return ROW_COLUMNS if valve.gas is None else GAS_COLUMNS
+
+
+def check_geometry(block: Array) -> None:
+    """Check that the gap of a block is inside its stroke.
+
+    Raises:
+        SimulationError: it is not.
+    """
+    gap, stroke = float(block[layout.GAP]), float(block[layout.STROKE])
+    if not 0.0 <= gap < stroke:
+        raise SimulationError(f"the simulation cannot start: pilot_gap {gap:g} m is not inside stroke {stroke:g} m")
+
+
+def check_outcome(outcome: int, what: str = "") -> None:
+    """Check that a run was carried to its end.
+
+    Raises:
+        SimulationError: it was not; the message says why.
+    """
+    if outcome == Outcome.FINISHED:
+        return
+    why = {
+        Outcome.STEP_TOO_SMALL: "the forces change faster than error control can follow; look for a parameter that is "
+        "many orders of magnitude off, or, with motional_emf, for a flux that does not grow with the current",
+        Outcome.FLUX_FOLDS: "motional_emf: no current follows from the flux, which must grow with it; look for a coil "
+        "time constant that is too short, or for a saturation that is too strong",
+        Outcome.TOO_MANY_STEPS: f"more than {MOST_STEPS} steps a second are needed; look for a time constant that is "
+        "far below a microsecond",
+        Outcome.CHATTERING: "the plungers chatter without progress in time",
+    }
+    raise SimulationError(f"{what}the simulation stopped early: {why[Outcome(outcome)]}")
+
+
+def run_numbers(
+    valve: Valve,
+    numbers: Array,
+    drive: Drive,
+    sample_times: ArrayLike,
+    *,
+    tolerance: float = TOLERANCE,
+    threads: int | None = None,
+    names: Sequence[int] | None = None,
+) -> Array:
+    """Pilot plunger positions of one valve with other numbers under one drive, on several threads.
+
+    Args:
+        valve: whose effects all have.
+        numbers: (k, m) the numbers of each in the order of the plan's parameters, see `Valve.numbers`.
+        drive: the commanded voltage.
+        sample_times: (n,) s, ascending.
+        tolerance: relative error of one step.
+        threads: how many; default all processors.
+        names: (k,) numbers by which messages call these; default from 0 on.
+
+    Returns:
+        (k, n) m, as the position sensor shows it.
+
+    Raises:
+        SimulationError: a run could not be carried to its end; it names the row.
+    """
+    times = np.ascontiguousarray(sample_times, dtype=np.float64)
+    numbers = np.ascontiguousarray(numbers, dtype=np.float64)
+    positions = np.empty((len(numbers), len(times)))
+    commands = commands_of(drive)
+    start = start_of(drive, times)
+    plan = valve.plan()
+    blank = plan.blank.copy()
+    blank[layout.TOLERANCE] = tolerance
+    workers = threads or os.cpu_count() or 1
+    chunks = [chunk for chunk in np.array_split(np.arange(len(numbers)), workers * 4) if len(chunk)]
+    end = float(times[-1]) if len(times) else -math.inf
+
+    def work(chunk: Any) -> int:
+        own, shown, room = numbers[chunk[0] :], positions[chunk[0] :], np.empty(layout.SIZE)
+        done = entry("batch")(
+            room.ctypes.data, blank.ctypes.data, own.ctypes.data, own.shape[1], len(chunk), start,
+            commands.ctypes.data, len(commands), end, most_steps(end - start), times.ctypes.data, len(times),
+            shown.ctypes.data,
+        )  # fmt: skip
+        if done < len(chunk):
+            failed = int(chunk[0]) + done
+            check_outcome(int(room[layout.OUTCOME]), f"parameter set {failed if names is None else names[failed]}: ")
+        return int(done)
+
+    if workers == 1:
+        for chunk in chunks:
+            work(chunk)
+    else:
+        with ThreadPoolExecutor(workers) as pool:
+            list(pool.map(work, chunks))
+    return positions
 
 
 def simulate_many(
@@ -296,7 +240,7 @@ def simulate_many(
     for plan in dict.fromkeys(plans):
         rows = [row for row, own in enumerate(plans) if own is plan]
         numbers = np.array([valves[row].numbers() for row in rows])
-        positions[rows] = core.run_numbers(
+        positions[rows] = run_numbers(
             valves[rows[0]], numbers, drive, times, tolerance=tolerance, threads=threads, names=rows
         )
     return positions

@@ -8,11 +8,12 @@ from collections import deque
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
-from valve_sim.model.core.live import Live
 from valve_sim.model.core_types import Phase
 from valve_sim.model.errors import SimulationError
+from valve_sim.model.live import Live
 from valve_sim.model.response import Event
-from valve_sim.model.simulation import TOLERANCE, Valve, check_flux
+from valve_sim.model.simulation import TOLERANCE, check_flux
+from valve_sim.model.valve import Valve
 
 _PHASES: Final = tuple(Phase)
 _MAIN: Final = Phase.MAIN
@@ -55,6 +56,16 @@ def reading_at_rest(valve: Valve, time: float) -> Reading | None:
     if valve.effects or valve.gas is not None:
         return None
     return Reading(time, *(0.0,) * 7, Phase.CLOSED, (), 0.0)
+
+
+def can_open(valve: Valve) -> bool:
+    """Whether the reference voltage, held without end, would lift the pilot plunger off its seat."""
+    voltage, *lags = valve.after_effects("reference_voltage", "coil_time_constant", "eddy_time_constant")
+    settled = 50.0 * sum(lags) + 1e-3
+    live = Live.at_rest(valve, 0.0, TOLERANCE)
+    live.command(voltage)
+    live.step(settled, commit=True)
+    return bool(live.row[4] != Phase.CLOSED)
 
 
 _Change = Callable[[Live], Live]

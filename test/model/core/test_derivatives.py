@@ -9,9 +9,9 @@ import pytest
 
 from model.core.cases import CALIBRATED, STROKE, drawn, with_value
 from valve_sim.model import Valve, simulate
-from valve_sim.model.core.runs import Directions, run_sloped
 from valve_sim.model.drives import Drive
 from valve_sim.model.errors import ParameterError
+from valve_sim.model.runs import Directions, run_sloped
 
 ACCURATE = 1e-7
 """Of the largest derivative, or of a stroke for a parameter as large again: how far one may be off the quotient."""

@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 from model.core.cases import CALIBRATED, STROKE
 from model.random_valves import RANGES, any_valves
 from valve_sim.model import CATALOGUE, Effect, Valve, simulate
-from valve_sim.model.core.runs import Directions, run_sloped
 from valve_sim.model.core.symbols import Motion, Own
 from valve_sim.model.core.tracer import Node, exp, maximum, sin
 from valve_sim.model.drives import Drive
 from valve_sim.model.errors import ParameterError, SimulationError
 from valve_sim.model.parameters import Parameter
+from valve_sim.model.runs import Directions, run_sloped
 
 TIMES = np.linspace(1e-3, 0.03, 80)
 SHIPPED = {name: entry for name, entry in CATALOGUE.items() if entry.is_of(has_gas=False)}

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 
 from model.core.cases import CALIBRATED, STROKE, drawn
 from valve_sim.model import TOLERANCE, Stepper, Valve, simulate
-from valve_sim.model.core.driver import ROW_COLUMNS
-from valve_sim.model.core.live import Live
+from valve_sim.model.core.samples import ROW_COLUMNS
 from valve_sim.model.core_types import Phase
 from valve_sim.model.errors import SimulationError
+from valve_sim.model.live import Live
 from valve_sim.model.parameters import ValveParameters
 
 

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from valve_sim.model.core import driver, layout, polynomials
+from valve_sim.model.core import layout, polynomials, samples
 from valve_sim.model.core.lowering import lowered
 from valve_sim.model.core.machine import Library, compiled
 from valve_sim.model.core.polynomials import Block
@@ -54,7 +54,7 @@ CALLABLE = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_void_p, ctypes.c_int64, ct
 
 @pytest.fixture(scope="module")
 def library() -> Library:
-    functions = [of_all_kinds, twice, *polynomials.FUNCTIONS, driver.lag_moments]
+    functions = [of_all_kinds, twice, *polynomials.FUNCTIONS, samples.lag_moments]
     return Library(compiled(lowered(functions, ["of_all_kinds", "first_fall", "lag_moments"])))
 
 

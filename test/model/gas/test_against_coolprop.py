@@ -10,7 +10,7 @@ import pytest
 
 from valve_sim.model import Drive, simulate
 from valve_sim.model.core import layout
-from valve_sim.model.core.live import Live
+from valve_sim.model.live import Live
 
 from .cases import gas_valve
 

@@ -28,7 +28,7 @@ from valve_sim.identification.selection.discrepancy import Discrepancy, lengths_
 from valve_sim.identification.selection.posterior import EVEN, Evidence, rivals_of
 from valve_sim.model import CATALOGUE, DECLARED, ParameterError, SimulationError, Valve
 from valve_sim.model.parameters import UNUSED_BY_ONE_PLUNGER, closest, unused_words
-from valve_sim.model.simulation import OF_TWO_PLUNGERS
+from valve_sim.model.valve import OF_TWO_PLUNGERS
 from valve_sim.traces import Trace
 from valve_sim.traces.checking import check_traces
 

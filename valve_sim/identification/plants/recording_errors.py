@@ -22,7 +22,7 @@ import numpy as np
 from valve_sim.identification.plants.protocol import Array, Nuisance
 from valve_sim.identification.plants.variation import VARIATION, variation, variation_name
 from valve_sim.model import CATALOGUE, Drive, Valve
-from valve_sim.model.simulation import ALWAYS
+from valve_sim.model.valve import ALWAYS
 from valve_sim.traces import Trace
 from valve_sim.traces.strokes import command_strokes, stroke_starts
 

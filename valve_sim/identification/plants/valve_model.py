@@ -11,7 +11,7 @@ from valve_sim.identification.plants.tolerances import ToleratedValues, of_gas
 from valve_sim.model import CATALOGUE, DECLARED, Parameter, Valve, ValveParameters
 from valve_sim.model.gas import GAS, GasParameters
 from valve_sim.model.parameters import POLYNOMIAL_NAMES
-from valve_sim.model.simulation import OF_TWO_PLUNGERS
+from valve_sim.model.valve import OF_TWO_PLUNGERS
 
 GAS_NAMES: Final[Mapping[str, str]] = {of_gas(name): name for name in GAS}
 """What fits call a number of the group `gas`, and what the group calls it."""

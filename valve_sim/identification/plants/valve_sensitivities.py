@@ -26,7 +26,7 @@ from valve_sim.identification.plants.valve_pieces import Intervals, WholeRun, ru
 from valve_sim.identification.plants.valve_sensors import amperes, averaged, rated_current_of, shown_by
 from valve_sim.model import CATALOGUE, Drive, Valve
 from valve_sim.model.core.gas import PREFIX
-from valve_sim.model.core.runs import Directions, Shown
+from valve_sim.model.runs import Directions, Shown
 from valve_sim.traces import Trace
 
 

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from valve_sim.identification.plants.protocol import Array, Channel, Contacts, Role
 from valve_sim.model import Drive, ParameterError, Response, SimulationError, Valve, simulate
-from valve_sim.model.core.runs import Directions, Run, Shown
-from valve_sim.model.core.simulation import commands_of
 from valve_sim.model.core_types import EventKind
 from valve_sim.model.drives import Supply
 from valve_sim.model.gas.parameters import GAS
+from valve_sim.model.runs import Directions, Run, Shown
+from valve_sim.model.simulation import commands_of
 from valve_sim.signals.long_columns import any_in, blocks, filled, largest_size, median_of, repeated_levels
 from valve_sim.traces import Signal, Trace, stroke_numbers
 from valve_sim.traces.clocks import intervals, usual_interval

@@ -28,8 +28,8 @@ from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.plants.valve_pieces import Cut, cuts
 from valve_sim.identification.plants.valve_sensors import response_to
 from valve_sim.model import EXACT, TOLERANCE, Drive, Event, EventKind, Response, SimulationError, Valve, ValveError
-from valve_sim.model.core.runs import Run
-from valve_sim.model.core.simulation import commands_of
+from valve_sim.model.runs import Run
+from valve_sim.model.simulation import commands_of
 from valve_sim.signals.long_columns import blocks
 from valve_sim.traces import SensorEvent, Signal, StrokePart, Trace, events_from_sensors, find_stroke_parts
 from valve_sim.traces.checking import check_traces

@@ -2,6 +2,6 @@
 
 Begin with `equations`; `valve_sim.model.effects` has a file for each effect. `tracer` turns them into graphs, `series`
 and `kernels` turn the graphs into the steps of the integrator, `driver` is the integrator, and `lowering` and `machine`
-compile it all. The ways in are `simulation.simulate` and `simulation.run_numbers`, `runs.Run` with or without
-derivatives, in pieces if need be, and `live.Live`.
+compile it all. What uses it is in `valve_sim.model`: `simulation.simulate` and `simulation.run_numbers`, `runs.Run`
+with or without derivatives, in pieces if need be, and `live.Live`.
 """

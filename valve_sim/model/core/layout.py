@@ -25,7 +25,7 @@ STEP, LONGEST, SUSPECT, DEFECT, TOLERANCE, ELAPSED = 15, 16, 17, 18, 19, 20
 """Size of the step, s, and the longest allowed; 1 where something may happen in it; error of its series over what is
 tolerated; relative error of a step; the time since its start at which the states are asked for."""
 MODE, MOVING, DIRECTION, LIFTED, LIFTED_UP, LIFTED_DOWN, BEYOND, AHEAD, ON_SEAT, CLOSED_NOW = range(21, 31)
-"""The mode of the plungers: see `driver.enter`."""
+"""The mode of the plungers: see `modes.enter`."""
 UNSEATED_TIME, VOLTS, SEEN, BLOCKED, PATH, FREEWHEELS, PEAK, END_PEAK = range(32, 40)
 """s; V, commanded and at the terminals; whether the diode blocks; what closes the circuit; the sign of a current that
 freewheels, else 0; the largest |u| so far, and after a step."""

@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.model.core import driver, entries, gas_steps, layout
+from valve_sim.model.core import driver, entries, gas_steps, layout, modes, steps
 from valve_sim.model.core.entries import ENTRIES, Method
 from valve_sim.model.core.equations import build
 from valve_sim.model.core.kernels import NAMES, Kernels
@@ -113,9 +113,9 @@ class Plan:
         if kernels.curve is not None:
             slots = (layout.CURVE, layout.IS_PERIODIC, layout.LOW_GUARD, layout.HIGH_GUARD)
             blank[list(slots)] = kernels.curve
-        blank[layout.MODE] = driver.CLOSED
+        blank[layout.MODE] = modes.CLOSED
         blank[layout.DIRECTION] = 1.0
-        blank[layout.LONGEST] = driver.ANY_STEP
+        blank[layout.LONGEST] = steps.ANY_STEP
         self.blank = blank
 
     def block(self, numbers: Array, tolerance: float, start: float, tangents: Array | None = None) -> Array:

@@ -9,14 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.model.core import layout
-from valve_sim.model.core.driver import GAS_COLUMNS, LIVE_EVENTS, ROW_COLUMNS
+from valve_sim.model.core.driver import LIVE_EVENTS
 from valve_sim.model.core.entries import ENTRIES
 from valve_sim.model.core.gas import PREFIX
 from valve_sim.model.core.plan import Plan, entry, method
-from valve_sim.model.core.simulation import check_geometry, check_outcome
-from valve_sim.model.core.valve import Valve
+from valve_sim.model.core.samples import GAS_COLUMNS, ROW_COLUMNS
 from valve_sim.model.core_types import EventKind, Phase
 from valve_sim.model.response import Event
+from valve_sim.model.simulation import check_geometry, check_outcome
+from valve_sim.model.valve import Valve
 
 Array = NDArray[np.float64]
 _KINDS: Final = tuple(EventKind)
@@ -31,7 +32,7 @@ class Live:
 
     Attributes:
         block: parameters and state of the valve, see `layout`.
-        row: the last reading, see `driver.ROW_COLUMNS`; positions are not delayed.
+        row: the last reading, see `samples.ROW_COLUMNS`; positions are not delayed.
         advance: the raw entry: steps to a time, s, fills `row` and returns an Outcome, 0 if all is well; a tenth of
             the time that `step` takes.
     """

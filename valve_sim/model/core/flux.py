@@ -1,44 +1,19 @@
-"""What the core asks of a valve, and checks of what only shows when all of it is taken together."""
+"""Whether a current follows from the flux of a valve: what only shows when all of its effects are taken together."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Final, Protocol
+from collections.abc import Sequence
+from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from valve_sim.model.core.equations import System, build
-from valve_sim.model.core.plan import Plan
 from valve_sim.model.core.symbols import Effect
 from valve_sim.model.core.tracer import evaluate
-from valve_sim.model.parameters import ValveParameters
 
 _PLACES: Final = 65
 _CURRENTS: Final = np.geomspace(1e-3, 1e3, 241)
 """Places along the stroke, and currents u, at which the flux is checked to grow with the current."""
-
-
-class Valve(Protocol):
-    """A valve, as `valve_sim.model.Valve` is one."""
-
-    @property
-    def parameters(self) -> ValveParameters:
-        """The declared values."""
-
-    @property
-    def effects(self) -> Mapping[str, Mapping[str, float]]:
-        """The effects that are on: names to their parameters."""
-
-    @property
-    def gas(self) -> object | None:
-        """What flows through it; None without gas."""
-
-    def plan(self, width: int = 0) -> Plan:
-        """What is compiled for its effects, with so many directions of derivatives."""
-
-    def numbers(self) -> NDArray[np.float64]:
-        """Its numbers in the order of its plan's parameters."""
 
 
 def numbers_after_effects(system: System, numbers: Sequence[float], *names: str) -> list[float]:

@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.model.core import layout
-from valve_sim.model.core.driver import GAS_COLUMNS, ROW_COLUMNS
 from valve_sim.model.core.plan import Plan, entry
-from valve_sim.model.core.simulation import TOLERANCE, check_geometry, check_outcome, commands_of, most_steps, start_of
-from valve_sim.model.core.valve import Valve
+from valve_sim.model.core.samples import GAS_COLUMNS, ROW_COLUMNS
 from valve_sim.model.drives import Drive
 from valve_sim.model.errors import ParameterError
 from valve_sim.model.parameters import closest
+from valve_sim.model.simulation import TOLERANCE, check_geometry, check_outcome, commands_of, most_steps, start_of
+from valve_sim.model.valve import Valve
 
 Array = NDArray[np.float64]
 WIDTHS: Final = (0, 4, 16)
@@ -183,7 +183,7 @@ class Run:
         )  # fmt: skip
 
     def rows(self, commands: Array, end: float, times: Array, *, room: int = 0) -> tuple[Array, Array, int]:
-        """As `piece`, of a run without derivatives: whole rows (see `driver.ROW_COLUMNS`), events and their number."""
+        """As `piece`, of a run without derivatives: whole rows (see `samples.ROW_COLUMNS`), events and their number."""
         (tile,) = self._tiles
         block = tile.block.ctypes.data
         times, commands = np.ascontiguousarray(times), np.ascontiguousarray(commands)
