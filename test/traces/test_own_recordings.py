@@ -256,7 +256,7 @@ WRONG_MAPS = {
     "a bandwidth of nothing": (LAB + "sensor: {bandwidth: 0}\n", r"sensor\.bandwidth: found 0, expected a frequency"),
     "a bandwidth in words": (LAB + "sensor: {bandwidth: fast}\n", r"sensor\.bandwidth: found 'fast', expected a freq"),
     "a misspelt quantity": (LAB.replace("position", "positon"), r"positon: unknown key; did you mean position\?"),
-    "a misspelt key": (LAB.replace("unit", "units"), r"position: units: unknown key; did you mean unit\?"),
+    "a misspelt key": (LAB.replace("unit", "units"), r"position\.units: unknown key; did you mean unit\?"),
     "an unknown unit": (LAB.replace("unit: mm", "unit: millimetres"), "found 'millimetres', expected one of m, cm, mm"),
     "a unit of something else": (LAB.replace("unit: mm", "unit: bar"), "found 'bar', expected one of m, cm, mm"),
     "a sign that is a factor": (LAB.replace("sign: -1", "sign: -2"), "expected 1 or -1; a factor is scale:"),

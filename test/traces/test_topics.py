@@ -9,10 +9,9 @@ from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_typestore
 
 from valve_sim.model import Drive
-from valve_sim.traces import read_trace, write_bag
+from valve_sim.traces import Signal, Trace, read_trace, write_bag
 from valve_sim.traces.cdr import Decoder
 from valve_sim.traces.topics import TopicReader
-from valve_sim.traces.trace import Signal, Trace
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 JOINT_STATE = "sensor_msgs/msg/JointState"

@@ -20,7 +20,6 @@ from valve_sim.traces import (
     Signal,
     Trace,
     TraceError,
-    commanded_voltage,
     describe,
     events_from_sensors,
     find_stroke_parts,
@@ -173,7 +172,7 @@ def test_an_existing_file_is_replaced_only_by_a_whole_one(tmp_path: Path) -> Non
 
 def test_csv_has_the_columns_in_order(tmp_path: Path) -> None:
     times = np.array([0.0, 0.01, 0.02])
-    volts = commanded_voltage(times, np.array([0.01]), np.array([9.0]))
+    volts = Drive.of([0.01], [9.0]).at(times)
     columns = {name: np.zeros(3) for name in CSV_COLUMNS} | {
         "time": times,
         "coil_voltage": volts,

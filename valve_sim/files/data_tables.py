@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.files.recording_map import UNITS
+from valve_sim.files.channels import UNITS
 from valve_sim.files.tables import TableError
 
 Array = NDArray[np.float64]
@@ -48,17 +48,19 @@ class DataTable:
         self.names = tuple(names)
         self.units = dict(units)
 
+    def has(self, name: str) -> bool:
+        """Whether there is a column of this name or number, from 1 on."""
+        return name in self.names or (name.isdigit() and 1 <= int(name) <= len(self.names))
+
     def column(self, name: str) -> Array:
         """The numbers of a column, (n,), NaN where a cell is empty; `name` may be its number, from 1 on.
 
         Raises:
             TableError: there is no such column, or one of its cells is not a number.
         """
-        if name in self.names:
-            return self._numbers(self.names.index(name))
-        if name.isdigit() and 1 <= int(name) <= len(self.names):
-            return self._numbers(int(name) - 1)
-        raise TableError(f"{self.path}: has no column {name}; it has {', '.join(self.names)}; name one of these")
+        if not self.has(name):
+            raise TableError(f"{self.path}: has no column {name}; it has {', '.join(self.names)}; name one of these")
+        return self._numbers(self.names.index(name) if name in self.names else int(name) - 1)
 
     def place(self, row: int) -> str:
         """Where a row (from 0 on) is in the file, for messages."""

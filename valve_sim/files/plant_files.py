@@ -17,10 +17,9 @@ package, in which a user's file sets values (`plant_templates`).
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
@@ -28,6 +27,7 @@ from typing import Any, Final
 
 import yaml
 
+from valve_sim.files.entries import Entries, alternatives, is_number, short
 from valve_sim.files.yaml_files import read_yaml
 from valve_sim.model.core.own.grammar import FUNCTIONS, Expr, ExpressionError, evaluate, names_in, parse, walk
 from valve_sim.model.core.own.system import Equations
@@ -46,7 +46,6 @@ LARGEST: Final = 5000
 """Operations of an output with all that it uses."""
 DEEPEST: Final = 6
 """Keys within each other that a file of a plant has."""
-LONGEST_MESSAGE: Final = 480
 LONGEST_FILE: Final = 200_000
 """Bytes."""
 
@@ -237,12 +236,12 @@ def _content(path: Path | str) -> object:
 
 def _kind(found: object, path: str) -> str:
     if not isinstance(found, Mapping):
-        raise PlantFileError(f"{path}: found {_short(found)}, expected keys plant:, states:, inputs: and so on")
+        raise PlantFileError(f"{path}: found {short(found)}, expected keys plant:, states:, inputs: and so on")
     kind = found.get("plant", "valve" if "/**" in found else None)
     if kind is None:
         raise PlantFileError(f"{path}: plant: is missing; add plant: equations (or coil, axis, valve)")
     if kind not in KINDS:
-        raise PlantFileError(f"{path}: plant: found {_short(kind)}, expected one of {', '.join(KINDS)}")
+        raise PlantFileError(f"{path}: plant: found {short(kind)}, expected one of {', '.join(KINDS)}")
     return str(kind)
 
 
@@ -265,16 +264,16 @@ def _refuse_split(found: Mapping[Any, Any], path: str, way: tuple[str, ...]) -> 
         if isinstance(own, Mapping) and len(place) < DEEPEST:
             _refuse_split(own, path, place)
         elif isinstance(own, str) and own.count("(") > own.count(")") and None in found.values():
-            words = f"found {_short(own)}, which a comma has cut off; in {{ }} an expression with commas needs quotes"
-            raise PlantFileError(one_line(f"{path}: {'.'.join(place)}: {words}"))
+            words = f"found {short(own)}, which a comma has cut off; in {{ }} an expression with commas needs quotes"
+            raise Entries(path, PlantFileError).fail(".".join(place), words)
 
 
 def _from_template(found: Mapping[Any, Any], kind: str, path: str) -> Mapping[Any, Any]:
     """The equations of a template, with what a user's file sets in them."""
-    check_keys(found, TEMPLATE_SECTIONS, path, "")
+    Entries(path, PlantFileError).check_keys("", found, TEMPLATE_SECTIONS)
     rotary = found.get("rotary", False)
     if not isinstance(rotary, bool):
-        raise PlantFileError(f"{path}: rotary: found {_short(rotary)}, expected true or false")
+        raise PlantFileError(f"{path}: rotary: found {short(rotary)}, expected true or false")
     if kind == "coil" and "rotary" in found:
         raise PlantFileError(f"{path}: rotary: is of an axis; take it out")
     name = f"{'rotary_' if rotary else ''}{kind}.yaml"
@@ -288,14 +287,14 @@ def _set_values(template: dict[str, Any], found: Mapping[Any, Any], path: str) -
     for section in ("states", "inputs", "outputs", "parameters"):
         entries = found.get(section, {})
         if not isinstance(entries, Mapping):
-            raise PlantFileError(f"{path}: {section}: found {_short(entries)}, expected names of the {found['plant']}")
+            raise PlantFileError(f"{path}: {section}: found {short(entries)}, expected names of the {found['plant']}")
         for name, own in entries.items():
             known = template.get(section, {})
             if name not in known:
-                raise PlantFileError(f"{path}: {section}.{name}: unknown; {_expected(name, known)}")
+                raise PlantFileError(f"{path}: {section}.{name}: unknown; {alternatives(name, known)}")
             entry = {"value": own} if section == "parameters" and not isinstance(own, Mapping) else own
             if not isinstance(entry, Mapping):
-                raise PlantFileError(f"{path}: {section}.{name}: found {_short(entry)}, expected keys such as unit:")
+                raise PlantFileError(f"{path}: {section}.{name}: found {short(entry)}, expected keys such as unit:")
             if entry.get("tolerance") and "free" not in entry:
                 # Who says how well a value is known wants no value that is free.
                 known[name] = {key: value for key, value in known[name].items() if key != "free"}
@@ -313,23 +312,24 @@ def _choose_effects(template: dict[str, Any], found: Mapping[Any, Any], path: st
     elif isinstance(chosen, list):
         for name in chosen:
             if name not in template["effects"]:
-                raise PlantFileError(f"{path}: effects: found {_short(name)}; {_expected(name, template['effects'])}")
+                raise PlantFileError(f"{path}: effects: found {short(name)}; {alternatives(name, template['effects'])}")
         template["effects"] = {name: template["effects"][name] for name in chosen}
         for own in template["effects"].values():
             own["confused_with"] = [other for other in own.get("confused_with", []) if other in chosen]
     else:
-        raise PlantFileError(f"{path}: effects: found {_short(chosen)}, expected a list of names, or names and effects")
+        raise PlantFileError(f"{path}: effects: found {short(chosen)}, expected a list of names, or names and effects")
 
 
-class _Reader:
+class _Reader(Entries):
     """Checks the content of one file."""
 
     def __init__(self, found: Mapping[Any, Any], path: str, kind: str) -> None:
-        self._found, self._path, self._kind = found, path, kind
+        super().__init__(path, PlantFileError)
+        self._found, self._kind = found, kind
 
     def whole(self) -> PlantFile:
-        path, found = self._path, self._found
-        check_keys(found, SECTIONS, path, "")
+        path, found = self.where, self._found
+        self.check_keys("", found, SECTIONS)
         states = {name: self._state(name, own) for name, own in self._section("states").items()}
         inputs = {name: self._input(name, own) for name, own in self._section("inputs").items()}
         parameters = {name: self._parameter(name, own) for name, own in self._section("parameters").items()}
@@ -345,10 +345,10 @@ class _Reader:
         equations = {name: own.value for name, own in outputs.items() if name in shown}
         derivatives = {name: inlined(own, equations) for name, own in self._derivatives(states, everything).items()}
         if not outputs:
-            raise self._fail("outputs", "is missing; say what is measured: outputs: {position: {value: x, unit: m}}")
+            raise self.fail("outputs", "is missing; say what is measured: outputs: {position: {value: x, unit: m}}")
         clash = next((name for name in outputs if name in derivatives and outputs[name].value.value != name), None)
         if clash:
-            raise self._fail(f"outputs.{clash}", "has the name of a state that it does not show; choose another name")
+            raise self.fail(f"outputs.{clash}", "has the name of a state that it does not show; choose another name")
         if self._kind == "equations":  # of a template a user leaves effects out, and what they alone use
             self._used(derivatives, outputs, parameters, inputs)
         effects = self._effects(derivatives, outputs, everything)
@@ -358,99 +358,72 @@ class _Reader:
         }
         window = self._number("window", found["window"]) if "window" in found else math.inf
         if window <= 0.0:
-            raise self._fail("window", f"found {window:g}, expected a duration in s above 0")
+            raise self.fail("window", f"found {window:g}, expected a duration in s above 0")
         return PlantFile(
             path, self._kind, states, inputs, parameters, derivatives, outputs, effects, window, dict(found)
         )  # fmt: skip
 
-    def _fail(self, key: str, words: str) -> PlantFileError:
-        # Keys and values are whatever stands in a file: they may be long, and of several lines.
-        return PlantFileError(one_line(f"{self._path}: {key}: {words}"))
-
     def _section(self, key: str) -> Mapping[str, Any]:
         found = self._found.get(key, {})
         if not isinstance(found, Mapping):
-            raise self._fail(key, f"found {_short(found)}, expected names, each with its entry: {key}: {{x: {{...}}}}")
+            raise self.fail(key, f"found {short(found)}, expected names, each with its entry: {key}: {{x: {{...}}}}")
         for name in found:
             self._check_name(f"{key}.{name}", name)
         return found
 
     def _check_name(self, key: str, name: object) -> None:
         if isinstance(name, bool):
-            raise self._fail(key, f"found {name} for a name: YAML reads on, off, yes and no so; write it in quotes")
+            raise self.fail(key, f"found {name} for a name: YAML reads on, off, yes and no so; write it in quotes")
         if not isinstance(name, str) or not _NAME.match(name):
-            raise self._fail(key, f"found the name {_short(name)}, expected letters, digits and _, a letter first")
+            raise self.fail(key, f"found the name {short(name)}, expected letters, digits and _, a letter first")
         if name in RESERVED:
-            raise self._fail(
+            raise self.fail(
                 key, f"{name} is the name of {'the time' if name in ('t', 'time') else 'a function'}; choose another"
             )
         if len(name) > 60:
-            raise self._fail(key[:60], "is longer than 60 characters; choose a shorter name")
+            raise self.fail(key[:60], "is longer than 60 characters; choose a shorter name")
 
     def _once(self, groups: Mapping[str, Mapping[str, object]]) -> None:
         seen: dict[str, str] = {}
         for key, group in groups.items():
             for name in group:
                 if name in seen:
-                    raise self._fail(f"{key}.{name}", f"is a name in {seen[name]}, too; choose another")
+                    raise self.fail(f"{key}.{name}", f"is a name in {seen[name]}, too; choose another")
                 seen[name] = key
 
     def _entry(self, key: str, found: object, known: Sequence[str]) -> Mapping[str, Any]:
-        if not isinstance(found, Mapping):
-            raise self._fail(key, f"found {_short(found)}, expected keys {', '.join(known)}")
-        check_keys(found, known, self._path, f"{key}.")
-        return found
+        entry = self.mapping(key, found, f"keys {', '.join(known)}")
+        self.check_keys(key, entry, known)
+        return entry
 
     def _unit(self, key: str, entry: Mapping[str, Any]) -> Unit:
-        text = entry.get("unit", "")
-        if isinstance(text, int) and not isinstance(text, bool) and text == 1:
-            text = "1"
-        if not isinstance(text, str):
-            raise self._fail(
-                f"{key}.unit", f"found {_short(text)}, expected a text such as N*s/m; 1 for a plain number"
-            )
-        try:
-            unit = parse_unit(text)
-        except UnitError as error:
-            raise self._fail(f"{key}.unit", str(error)) from error
+        unit = self.unit(f"{key}.unit", entry.get("unit", ""))
         if unit.zero:
-            raise self._fail(f"{key}.unit", f"found {text}; temperatures of a plant are in K, {text} is for columns")
+            text = entry["unit"]
+            raise self.fail(f"{key}.unit", f"found {text}; temperatures of a plant are in K, {text} is for columns")
         return unit
 
     def _number(self, key: str, found: object, unit: Unit | None = None) -> float:
-        if isinstance(found, bool):
-            raise self._fail(key, f"found {found}, expected a number (YAML reads on, off, yes and no as true or false)")
-        if isinstance(found, str):
-            try:
-                float(found)
-            except ValueError:
-                raise self._fail(key, f"found the text {_short(found)}, expected a number") from None
-            raise self._fail(key, f"found the text {_short(found)}, expected a number: take the quotes away")
-        if not isinstance(found, int | float):
-            raise self._fail(key, f"found {_short(found)}, expected a number")
-        if not math.isfinite(found):
-            raise self._fail(key, f"found {found}, expected a finite number")
-        return float(found) * (1.0 if unit is None else unit.factor)
+        """A number in the unit of its entry, in SI."""
+        return self.number(key, found) * (1.0 if unit is None else unit.factor)
 
     def _title(self, key: str, entry: Mapping[str, Any]) -> str:
         title = entry.get("title", "")
         if not isinstance(title, str) or "\n" in title or len(title) > 80:
-            raise self._fail(f"{key}.title", f"found {_short(title)}, expected a few words")
+            raise self.fail(f"{key}.title", f"found {short(title)}, expected a few words")
         return title
 
     def _range(self, key: str, entry: Mapping[str, Any], unit: Unit) -> tuple[float, float]:
         found = entry.get("range", [-math.inf, math.inf])
         if not isinstance(found, list) or len(found) != 2:
-            raise self._fail(f"{key}.range", f"found {_short(found)}, expected two numbers: [0, 100]")
+            raise self.fail(f"{key}.range", f"found {short(found)}, expected two numbers: [0, 100]")
         if "range" in entry:
             for end in found:
                 if not (isinstance(end, float) and math.isinf(end)):
                     self._number(f"{key}.range", end)
         lower, upper = (float(end) * unit.factor for end in found)
         if not lower < upper:
-            raise self._fail(
-                f"{key}.range", f"found {_short(found)}, expected the lower end first, and another above it"
-            )
+            raise self.fail(f"{key}.range", f"found {short(found)}, expected the lower end first, and another above it")
         return lower, upper
 
     def _state(self, name: str, found: object) -> StateEntry:
@@ -464,7 +437,7 @@ class _Reader:
 
     def _start(self, key: str, start: object) -> object:
         if isinstance(start, str):
-            raise self._fail(f"{key}.start", f"found {_short(start)}, expected a number or free")
+            raise self.fail(f"{key}.start", f"found {short(start)}, expected a number or free")
         return start
 
     def _input(self, name: str, found: object) -> InputEntry:
@@ -472,7 +445,7 @@ class _Reader:
         entry = self._entry(key, found, ("unit", "between", "delay"))
         between = entry.get("between", "straight")
         if between not in ("held", "straight"):
-            raise self._fail(f"{key}.between", f"found {_short(between)}, expected held or straight")
+            raise self.fail(f"{key}.between", f"found {short(between)}, expected held or straight")
         return InputEntry(self._unit(key, entry), between == "held", self._delay(key, entry))
 
     def _parameter(self, name: str, found: object) -> ParameterEntry:
@@ -480,43 +453,43 @@ class _Reader:
         entry = self._entry(key, found, ("value", "unit", "tolerance", "free", "range", "varies", "title"))
         unit = self._unit(key, entry)
         if "value" not in entry:
-            raise self._fail(f"{key}.value", "is missing; give the declared value, or where a fit starts")
+            raise self.fail(f"{key}.value", "is missing; give the declared value, or where a fit starts")
         value = self._number(f"{key}.value", entry["value"], unit)
         tolerance = self._number(f"{key}.tolerance", entry["tolerance"], unit) if "tolerance" in entry else 0.0
         if tolerance < 0.0:
-            raise self._fail(f"{key}.tolerance", f"found {entry['tolerance']}, expected a standard deviation from 0 on")
+            raise self.fail(f"{key}.tolerance", f"found {entry['tolerance']}, expected a standard deviation from 0 on")
         free = entry.get("free", False)
         if not isinstance(free, bool):
-            raise self._fail(f"{key}.free", f"found {_short(free)}, expected true or false")
+            raise self.fail(f"{key}.free", f"found {short(free)}, expected true or false")
         if free and tolerance:
-            raise self._fail(f"{key}.tolerance", "stands beside free: true, which knows none; take one of them out")
+            raise self.fail(f"{key}.tolerance", "stands beside free: true, which knows none; take one of them out")
         varies = self._number(f"{key}.varies", entry["varies"], unit) if "varies" in entry else 0.0
         if varies < 0.0:
-            raise self._fail(f"{key}.varies", f"found {entry['varies']}, expected a standard deviation from 0 on")
+            raise self.fail(f"{key}.varies", f"found {entry['varies']}, expected a standard deviation from 0 on")
         lower, upper = self._range(key, entry, unit)
         if not lower <= value <= upper:
-            raise self._fail(f"{key}.value", f"found {entry['value']}, expected within range: {entry['range']}")
+            raise self.fail(f"{key}.value", f"found {entry['value']}, expected within range: {entry['range']}")
         return ParameterEntry(unit, value, tolerance, free, lower, upper, varies, self._title(key, entry))
 
     def _expression(self, key: str, found: object, dimensions: Mapping[str, Dimension]) -> Expr:
         if isinstance(found, bool):
-            raise self._fail(key, f"found {found}: YAML reads on, off, yes and no so; write the expression in quotes")
+            raise self.fail(key, f"found {found}: YAML reads on, off, yes and no so; write the expression in quotes")
         if isinstance(found, int | float):
             found = repr(found)
         if not isinstance(found, str):
-            raise self._fail(
+            raise self.fail(
                 key,
-                f"found {_short(found)}, expected an expression such as (force - viscous*v)/mass; "
+                f"found {short(found)}, expected an expression such as (force - viscous*v)/mass; "
                 "in { } commas need quotes",
             )
         try:
             expression = parse(found)
         except ExpressionError as error:
-            raise self._fail(key, str(error)) from error
+            raise self.fail(key, str(error)) from error
         for name in names_in(expression):
             if name not in dimensions:
-                raise self._fail(
-                    key, f"uses {name}, which is no state, input or parameter; {_expected(name, dimensions)}"
+                raise self.fail(
+                    key, f"uses {name}, which is no state, input or parameter; {alternatives(name, dimensions)}"
                 )
         return expression
 
@@ -524,22 +497,22 @@ class _Reader:
         try:
             return dimension_of(expression, dimensions)
         except UnitError as error:
-            raise self._fail(key, f"{error}; make both sides fit, or correct a unit") from error
+            raise self.fail(key, f"{error}; make both sides fit, or correct a unit") from error
 
     def _fits(self, key: str, found: Dimension | None, expected: Dimension, what: str) -> None:
         if found is not None and not same(found, expected):
-            raise self._fail(key, f"is in {dimension_words(found)}, expected {dimension_words(expected)}, {what}")
+            raise self.fail(key, f"is in {dimension_words(found)}, expected {dimension_words(expected)}, {what}")
 
     def _derivatives(self, states: Mapping[str, StateEntry], dimensions: Mapping[str, Dimension]) -> dict[str, Expr]:
         found = self._section("derivatives")
         for name in found:
             if name not in states:
-                raise self._fail(f"derivatives.{name}", f"is of no state; {_expected(name, states)}")
+                raise self.fail(f"derivatives.{name}", f"is of no state; {alternatives(name, states)}")
         derivatives: dict[str, Expr] = {}
         for name, state in states.items():
             key = f"derivatives.{name}"
             if name not in found:
-                raise self._fail(key, f"is missing; say how the state {name} changes")
+                raise self.fail(key, f"is missing; say how the state {name} changes")
             derivatives[name] = self._expression(key, found[name], dimensions)
             own = self._dimension(key, derivatives[name], dimensions)
             rate = tuple(a + b for a, b in zip(state.unit.dimension, _SLOPE, strict=True))
@@ -556,14 +529,14 @@ class _Reader:
         def resolve(name: str, way: tuple[str, ...]) -> Expr:
             if name in way:
                 loop = " -> ".join((*way[way.index(name) :], name))
-                raise self._fail(f"outputs.{name}.value", f"goes round in a loop: {loop}; use states in its place")
+                raise self.fail(f"outputs.{name}.value", f"goes round in a loop: {loop}; use states in its place")
             if name not in done:
                 own = outputs[name]
                 used = [one for one in names_in(own.value) if one in shown]
                 equations = {one: resolve(one, (*way, name)) for one in used}
                 done[name] = replace(own, value=inlined(own.value, equations))
                 if sum(1 for _ in walk(done[name].value)) > LARGEST:
-                    raise self._fail(f"outputs.{name}.value", f"has more than {LARGEST} operations; shorten it")
+                    raise self.fail(f"outputs.{name}.value", f"has more than {LARGEST} operations; shorten it")
             return done[name].value
 
         for name in outputs:
@@ -573,16 +546,16 @@ class _Reader:
     def _output(self, name: str, found: object, dimensions: Mapping[str, Dimension]) -> OutputEntry:
         key = f"outputs.{name}"
         if isinstance(found, str):
-            raise self._fail(key, f"found {_short(found)}, expected {{value: {found}, unit: ...}}")
+            raise self.fail(key, f"found {short(found)}, expected {{value: {found}, unit: ...}}")
         entry = self._entry(key, found, ("value", "unit", "noise", "delay"))
         unit = self._unit(key, entry)
         if "value" not in entry:
-            raise self._fail(f"{key}.value", "is missing; say what the sensor shows")
+            raise self.fail(f"{key}.value", "is missing; say what the sensor shows")
         value = self._expression(f"{key}.value", entry["value"], dimensions)
         self._fits(f"{key}.value", self._dimension(f"{key}.value", value, dimensions), unit.dimension, "its unit")
         noise = self._number(f"{key}.noise", entry["noise"], unit) if "noise" in entry else None
         if noise is not None and noise <= 0.0:
-            raise self._fail(
+            raise self.fail(
                 f"{key}.noise",
                 f"found {entry['noise']}, expected a standard deviation above 0; leave it out where it is not known",
             )
@@ -600,14 +573,14 @@ class _Reader:
         for key, group in (("parameters", parameters), ("inputs", inputs)):
             for name in group:
                 if name not in used and not re.search(rf"\b{name}\b", text):
-                    raise self._fail(f"{key}.{name}", "is used by no equation; use it or take it out")
+                    raise self.fail(f"{key}.{name}", "is used by no equation; use it or take it out")
 
     def _effects(
         self, derivatives: Mapping[str, Expr], outputs: Mapping[str, OutputEntry], dimensions: Mapping[str, Dimension]
     ) -> dict[str, EffectEntry]:
         found = self._section("effects")
         if len(found) > MOST_EFFECTS:
-            raise self._fail("effects", f"found {len(found)}, expected at most {MOST_EFFECTS}")
+            raise self.fail("effects", f"found {len(found)}, expected at most {MOST_EFFECTS}")
         effects = {}
         for name, own in found.items():
             key = f"effects.{name}"
@@ -621,7 +594,7 @@ class _Reader:
             used = {*delay.values(), *(one for expression in add.values() for one in names_in(expression))}
             for one in parameters:
                 if one not in used:
-                    raise self._fail(f"{key}.parameters.{one}", "is used by nothing that the effect adds; take it out")
+                    raise self.fail(f"{key}.parameters.{one}", "is used by nothing that the effect adds; take it out")
             effects[name] = EffectEntry(add, parameters, self._alike(key, entry, found), self._title(key, entry), delay)
         return effects
 
@@ -629,7 +602,7 @@ class _Reader:
         """s, of an input or output; a plain number is in s."""
         found = self._number(f"{key}.delay", entry.get("delay", 0.0))
         if found < 0.0:
-            raise self._fail(f"{key}.delay", f"found {entry['delay']}, expected seconds from 0 on")
+            raise self.fail(f"{key}.delay", f"found {entry['delay']}, expected seconds from 0 on")
         return found
 
     def _delays(
@@ -638,17 +611,17 @@ class _Reader:
         """Which parameter of an effect delays which input or output."""
         key = f"{key}.delay"
         if not isinstance(found, Mapping) or not found:
-            raise self._fail(key, f"found {_short(found)}, expected an input or output and a parameter: {{force: lag}}")
+            raise self.fail(key, f"found {short(found)}, expected an input or output and a parameter: {{force: lag}}")
         known = [*self._section("inputs"), *outputs]
         for target, name in found.items():
             if target not in known:
-                raise self._fail(f"{key}.{target}", f"is no input and no output; {_expected(target, known)}")
+                raise self.fail(f"{key}.{target}", f"is no input and no output; {alternatives(target, known)}")
             if name not in parameters:
-                raise self._fail(f"{key}.{target}", f"found {_short(name)}; {_expected(name, parameters)}")
+                raise self.fail(f"{key}.{target}", f"found {short(name)}; {alternatives(name, parameters)}")
             own = parameters[name]
             self._fits(f"{key}.{target}", own.unit.dimension, (0, 0, 1, 0, 0), f"a time, as {name} has to be")
             if own.neutral != 0.0 or not (own.lower == 0.0 and own.upper < math.inf):
-                raise self._fail(
+                raise self.fail(
                     f"{key}.{target}", f"{name} needs neutral: 0 and a range from 0 on, such as range: [0, 0.1]"
                 )
         return {str(target): str(name) for target, name in found.items()}
@@ -658,10 +631,10 @@ class _Reader:
         if isinstance(alike, str):
             alike = [alike]
         if not isinstance(alike, list):
-            raise self._fail(f"{key}.confused_with", f"found {_short(alike)}, expected a list of effects: [offset]")
+            raise self.fail(f"{key}.confused_with", f"found {short(alike)}, expected a list of effects: [offset]")
         for other in alike:
             if other not in effects:
-                raise self._fail(f"{key}.confused_with", f"found {_short(other)}; {_expected(other, effects)}")
+                raise self.fail(f"{key}.confused_with", f"found {short(other)}; {alternatives(other, effects)}")
         return tuple(alike)
 
     def _effect_parameters(
@@ -669,19 +642,19 @@ class _Reader:
     ) -> dict[str, EffectParameter]:
         key = f"{key}.parameters"
         if not isinstance(found, Mapping) or not found:
-            raise self._fail(
-                key, f"found {_short(found)}, expected at least one: {{level: {{unit: N, neutral: 0, scale: 10}}}}"
+            raise self.fail(
+                key, f"found {short(found)}, expected at least one: {{level: {{unit: N, neutral: 0, scale: 10}}}}"
             )
         parameters = {}
         for name, own in found.items():
             where = f"{key}.{name}"
             self._check_name(where, name)
             if name in dimensions:
-                raise self._fail(where, "is the name of a state, input or parameter, too; choose another")
+                raise self.fail(where, "is the name of a state, input or parameter, too; choose another")
             entry = self._entry(where, own, ("unit", "neutral", "scale", "range", "title"))
             parameters[name] = self._effect_parameter(where, entry, dimensions)
         if all(parameter.neutral is None for parameter in parameters.values()):
-            raise self._fail(key, "none has neutral:, the value at which the effect changes nothing; add it to one")
+            raise self.fail(key, "none has neutral:, the value at which the effect changes nothing; add it to one")
         return parameters
 
     def _effect_parameter(
@@ -691,22 +664,20 @@ class _Reader:
         lower, upper = self._range(key, entry, unit)
         neutral = self._number(f"{key}.neutral", entry["neutral"], unit) if "neutral" in entry else None
         if neutral is not None and not lower <= neutral <= upper:
-            raise self._fail(f"{key}.neutral", f"found {entry['neutral']}, expected within range: {entry['range']}")
+            raise self.fail(f"{key}.neutral", f"found {entry['neutral']}, expected within range: {entry['range']}")
         scale_of = None
-        if isinstance(entry.get("scale"), str) and not _is_number(entry["scale"]):
+        if isinstance(entry.get("scale"), str) and not is_number(entry["scale"]):
             scale, scale_of = unit.factor, self._expression(f"{key}.scale", entry["scale"], dimensions)
             found = self._dimension(f"{key}.scale", scale_of, dimensions)
             self._fits(f"{key}.scale", found, unit.dimension, "the unit of what it is the scale of")
         elif "scale" in entry:
             scale = self._number(f"{key}.scale", entry["scale"], unit)
             if scale <= 0.0:
-                raise self._fail(f"{key}.scale", f"found {entry['scale']}, expected a size above 0")
+                raise self.fail(f"{key}.scale", f"found {entry['scale']}, expected a size above 0")
         elif math.isfinite(upper - lower):
             scale = math.sqrt(lower * upper) if neutral is None and lower > 0.0 else 0.5 * (upper - lower)
         else:
-            raise self._fail(
-                key, "has neither scale: nor a range: of two ends; say how large it may well be: scale: 10"
-            )
+            raise self.fail(key, "has neither scale: nor a range: of two ends; say how large it may well be: scale: 10")
         return EffectParameter(unit, neutral, scale, lower, upper, self._title(key, entry), scale_of)
 
     def _add(
@@ -716,15 +687,15 @@ class _Reader:
         derivatives, outputs, dimensions = known
         key = f"{key}.add"
         if not isinstance(found, Mapping) or not found:
-            raise self._fail(
+            raise self.fail(
                 key,
-                f"found {_short(found)}, expected what it adds to derivatives or outputs: {{v: -level*sign(v)/mass}}",
+                f"found {short(found)}, expected what it adds to derivatives or outputs: {{v: -level*sign(v)/mass}}",
             )
         add = {}
         for target, own in found.items():
             where = f"{key}.{target}"
             if target not in derivatives and target not in outputs:
-                raise self._fail(where, f"is no state and no output; {_expected(target, [*derivatives, *outputs])}")
+                raise self.fail(where, f"is no state and no output; {alternatives(target, [*derivatives, *outputs])}")
             expression = self._expression(where, own, dimensions)
             dimension = self._dimension(where, expression, dimensions)
             if target in derivatives:
@@ -735,48 +706,3 @@ class _Reader:
                 self._fits(where, dimension, outputs[target].unit.dimension, f"the unit of {target}")
             add[str(target)] = expression
         return add
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
-def one_line(message: str) -> str:
-    """A message without line breaks, cut where it is too long to read."""
-    text = " ".join(message.split())
-    return text if len(text) <= LONGEST_MESSAGE else f"{text[: LONGEST_MESSAGE - 3]}..."
-
-
-def check_keys(found: Mapping[Any, Any], known: Sequence[str], path: str, prefix: str) -> None:
-    """Refuse keys that are not known.
-
-    Raises:
-        PlantFileError: there is one.
-    """
-    for key in found:
-        if isinstance(key, bool):
-            raise PlantFileError(
-                f"{path}: {prefix}{key}: found {key} for a key: YAML reads on, off, yes and no so; write it in quotes"
-            )
-        if key not in known:
-            raise PlantFileError(one_line(f"{path}: {prefix}{str(key)[:80]}: unknown key; {_expected(key, known)}"))
-
-
-def _expected(name: object, known: Iterable[str]) -> str:
-    listed = list(known)
-    alike = difflib.get_close_matches(str(name), listed, n=1, cutoff=0.6)
-    mend = f"did you mean {alike[0]}? " if alike else ""
-    return (
-        f"{mend}expected one of {', '.join(listed[:12])}{', ...' if len(listed) > 12 else ''}"
-        if listed
-        else "there is none"
-    )
-
-
-def _short(value: object) -> str:
-    text = "nothing" if value is None else " ".join(repr(value).split())
-    return text if len(text) <= 60 else f"{text[:57]}..."

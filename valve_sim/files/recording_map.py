@@ -10,15 +10,15 @@ recording has what it names is checked when the recording is read. A static tabl
 
 from __future__ import annotations
 
-import difflib
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 
+from valve_sim.files.channels import CHANNELS, JUDGED, UNITS
+from valve_sim.files.entries import Entries, short
 from valve_sim.files.yaml_files import read_yaml
-from valve_sim.model.core.own.units import Unit, parse_unit
 from valve_sim.model.errors import ValveError
 
 if TYPE_CHECKING:
@@ -30,56 +30,9 @@ class MapError(ValveError):
     """A map cannot be used: one line that names the file and the key, what was found and what is expected."""
 
 
-_ALLOWED: Final[Mapping[str, Sequence[str]]] = {
-    "voltage": ("V", "mV", "kV"),
-    "length": ("m", "cm", "mm", "um", "µm", "nm", "in"),
-    "current": ("A", "mA", "uA", "µA"),
-    "acceleration": ("m/s2", "m/s²", "mm/s2", "g"),
-    "pressure": ("Pa", "hPa", "mbar", "kPa", "bar", "MPa", "psi"),
-    "force": ("N", "mN", "kN", "kgf", "lbf"),
-    "temperature": ("degC", "°C", "K"),
-    "time": ("s", "ms", "us", "µs", "ns", "min"),
-}
-CELSIUS: Final = 273.15
-"""K, of 0 °C: a valve's temperatures are in °C."""
-
-
-def _unit(name: str, dimension: str) -> Unit:
-    """A unit as a quantity of this dimension has it: g is a mass elsewhere, and temperatures are in °C here."""
-    unit = parse_unit("g0" if (name, dimension) == ("g", "acceleration") else name)
-    return unit._replace(zero=unit.zero - CELSIUS) if dimension == "temperature" else unit
-
-
-UNITS: Final[Mapping[str, Mapping[str, Unit]]] = {
-    dimension: {name: _unit(name, dimension) for name in names} for dimension, names in _ALLOWED.items()
-}
-"""Units by dimension; the first of each is the default."""
-
-
-class Quantity(NamedTuple):
-    """A quantity that a recording can hold: its dimension, and its name for people."""
-
-    dimension: str
-    meaning: str
-
-
-QUANTITIES: Final[Mapping[str, Quantity]] = {
-    "command": Quantity("voltage", "commanded voltage, held until the next message or row"),
-    "voltage": Quantity("voltage", "measured at the coil: the input; without a command, its steps are the commands"),
-    "position": Quantity("length", "pilot plunger, 0 where the valve is closed, positive towards the core"),
-    "main_position": Quantity("length", "main plunger"),
-    "current": Quantity("current", "coil current"),
-    "acceleration": Quantity("acceleration", "along the axis"),
-    "pressure": Quantity("pressure", "inlet pressure, absolute"),
-    "outlet_pressure": Quantity("pressure", "behind a valve with gas, absolute"),
-    "demand_pressure": Quantity("pressure", "behind the demand's orifice of such a valve, absolute"),
-    "temperature": Quantity("temperature", "of the coil"),
-}
-FORCE_QUANTITIES: Final[Mapping[str, Quantity]] = {
-    "displacement": Quantity("length", "of the plunger from its seat, positive towards the core"),
-    "force": Quantity("force", "with which the coil attracts the plunger"),
-}
-"""Quantities of a static table, from load cell and stage."""
+FORCE_QUANTITIES: Final[Mapping[str, str]] = {"displacement": "length", "force": "force"}
+"""Columns of a static table, from stage (from the plunger's seat, positive towards the core) and load cell (with which
+the coil attracts the plunger), and the dimension of each."""
 MOST_AVERAGED: Final = 1000
 """Readings: a sensor that averages more shows no stroke."""
 OF_ANOTHER: Final = "; if it is of a machine that is no valve, give --plant to identify, diagnose, validate or simulate"
@@ -88,6 +41,7 @@ CLOCKS: Final = ("header", "bag")
 DEFAULT_VALVE: Final = "/valve"
 _OTHER_KEYS: Final = ("sensor", "clock", "time", "valve", "valves")
 _TEXTS: Final = ("topic", "field", "joint", "column", "type", "unit", "clock")
+_NUMBERS: Final = ("scale", "sign", "offset")
 
 
 @dataclass(frozen=True)
@@ -162,7 +116,7 @@ class RecordingMap:
 
     Attributes:
         path: the file that it was read from, for messages.
-        valves: valve's name ("/tank_1/valve") to quantity (of `QUANTITIES`) to where it is.
+        valves: valve's name ("/tank_1/valve") to channel's key (of `CHANNELS`) to where it is.
         time: of a table; None for bags.
         sensors: by valve's name, what is known of its position sensor; of those that are not there, nothing.
     """
@@ -201,34 +155,12 @@ def load_map(path: Path | str) -> RecordingMap:
 
 def is_of_valve(found: Mapping[Any, Any]) -> bool:
     """Whether all that a map names is recorded of a valve; else it is the map of another machine."""
-    return all(name in QUANTITIES or name in _OTHER_KEYS for name in found)
+    return all(name in CHANNELS or name in _OTHER_KEYS for name in found)
 
 
 def map_from(found: object, path: str) -> RecordingMap:
     """Check what a map's YAML holds; errors as `load_map`."""
-    if not isinstance(found, Mapping) or not found:
-        raise MapError(
-            f"{path}: found {_short(found)}; expected keys such as position: {{topic: ..., unit: mm}}; "
-            "valve-sim map RECORDING writes a first one"
-        )
-    _check_keys(found, [*QUANTITIES, *_OTHER_KEYS], path, "", OF_ANOTHER)
-    clock = _clock(found.get("clock", ""), f"{path}: clock")
-    time = _time_axis(found["time"], f"{path}: time") if "time" in found else None
-    if "valves" in found:
-        alone = [key for key in found if key in QUANTITIES or key in ("valve", "sensor")]
-        if alone:
-            raise MapError(f"{path}: {alone[0]}: found beside valves:; expected it below one of them")
-        valves = _named_valves(found["valves"], clock, path)
-        sensors = {_absolute(name): _sensor(own, path, f"valves.{name}.") for name, own in found["valves"].items()}
-    else:
-        name = found.get("valve", DEFAULT_VALVE)
-        if not isinstance(name, str) or not name.strip("/"):
-            raise MapError(f"{path}: valve: found {_short(name)}, expected a name such as {DEFAULT_VALVE}")
-        entries = {key: value for key, value in found.items() if key in QUANTITIES}
-        valves = {_absolute(name): _sources(entries, clock, path, "")}
-        sensors = {_absolute(name): _sensor(found, path, "")}
-    _check_kind(valves, time, path)
-    return RecordingMap(path, valves, time, sensors)
+    return _MapReader(path).whole(found)
 
 
 def load_force_map(path: Path | str) -> Mapping[str, Source]:
@@ -238,34 +170,18 @@ def load_force_map(path: Path | str) -> Mapping[str, Source]:
         MapError: it cannot be read, names no column for one of them, or a key, unit or value in it is invalid.
     """
     found = read_yaml(path, "expected a map such as displacement: {column: Weg, unit: mm}", MapError)
-    if not isinstance(found, Mapping):
-        raise MapError(f"{path}: found {_short(found)}; expected displacement: and force: with the column of each")
-    _check_keys(found, list(FORCE_QUANTITIES), str(path), "")
-    for key, quantity in FORCE_QUANTITIES.items():
-        if key not in found:
-            raise MapError(
-                f"{path}: names no {key}; add {key}: {{column: ..., unit: {next(iter(UNITS[quantity[0]]))}}}"
-            )
-    sources = {
-        key: _source(quantity.dimension, found[key], "", f"{path}: {key}") for key, quantity in FORCE_QUANTITIES.items()
-    }
+    reader = _MapReader(str(path))
+    entries = reader.mapping("", found, "displacement: and force: with the column of each")
+    reader.check_keys("", entries, list(FORCE_QUANTITIES))
+    for key, dimension in FORCE_QUANTITIES.items():
+        if key not in entries:
+            unit = next(iter(UNITS[dimension]))
+            raise reader.fail("", f"names no {key}; add {key}: {{column: ..., unit: {unit}}}")
+    sources = {key: reader.source(key, entries[key], dimension) for key, dimension in FORCE_QUANTITIES.items()}
     for key, source in sources.items():
         if source.topic:
-            raise MapError(f"{path}: {key}.topic: found {source.topic}; a table has columns: give column: in its place")
+            raise reader.fail(f"{key}.topic", f"found {source.topic}; a table has columns: give column: in its place")
     return sources
-
-
-def _named_valves(found: object, clock: str, path: str) -> dict[str, Mapping[str, Source]]:
-    if not isinstance(found, Mapping) or not found:
-        raise MapError(f"{path}: valves: found {_short(found)}, expected names and what is recorded of each")
-    valves: dict[str, Mapping[str, Source]] = {}
-    for name, entries in found.items():
-        if not isinstance(entries, Mapping):
-            raise MapError(f"{path}: valves.{name}: found {_short(entries)}, expected keys such as position:")
-        _check_keys(entries, [*QUANTITIES, "sensor"], path, f"valves.{name}.")
-        own = {key: value for key, value in entries.items() if key in QUANTITIES}
-        valves[_absolute(name)] = _sources(own, clock, path, f"valves.{name}.")
-    return valves
 
 
 def _absolute(name: object) -> str:
@@ -273,141 +189,138 @@ def _absolute(name: object) -> str:
     return "/" + str(name).strip("/")
 
 
-def _sensor(entries: Mapping[Any, Any], path: str, prefix: str) -> DeclaredSensor:
-    """What the entry of a valve says of its position sensor."""
-    found, where = entries.get("sensor", {}), f"{path}: {prefix}"
-    if not isinstance(found, Mapping):
-        raise MapError(f"{where}sensor: found {_short(found)}, expected {{averaging: 10}} or {{bandwidth: 500}}")
-    if "sensor" in entries and "position" not in entries:
-        raise MapError(
-            f"{where}sensor: is that of the position, of which the map names none; add position: or take it out"
-        )
-    _check_keys(found, ["averaging", "bandwidth"], path, f"{prefix}sensor.")
-    count = found.get("averaging", 1)
-    if isinstance(count, bool) or not isinstance(count, int) or not 1 <= count <= MOST_AVERAGED:
-        raise MapError(
-            f"{where}sensor.averaging: found {_short(count)}, expected a whole number of readings from 1 to "
-            f"{MOST_AVERAGED}"
-        )
-    bandwidth = found.get("bandwidth", math.inf)
-    if isinstance(bandwidth, bool) or not isinstance(bandwidth, int | float) or not bandwidth >= 1.0:
-        raise MapError(f"{where}sensor.bandwidth: found {_short(bandwidth)}, expected a frequency in Hz from 1 on")
-    return DeclaredSensor(count, float(bandwidth))
+class _MapReader(Entries):
+    """Reads one map."""
 
+    def __init__(self, path: str) -> None:
+        super().__init__(path, MapError)
 
-def _sources(entries: Mapping[Any, Any], clock: str, path: str, prefix: str) -> Mapping[str, Source]:
-    sources = {
-        key: _source(QUANTITIES[key].dimension, value, clock, f"{path}: {prefix}{key}")
-        for key, value in entries.items()
-    }
-    where = f"{path}: {prefix.rstrip('.')}: " if prefix else f"{path}: "
-    if not {"position", "current", "outlet_pressure"} & set(sources):
-        raise MapError(
-            f"{where}names no position; say where it is: position: {{topic: ..., unit: mm}}, or where the coil's "
-            "current is: current:"
-        )
-    inputs = [key for key in ("command", "voltage") if key in sources]
-    if not inputs:
-        raise MapError(
-            f"{where}names neither command nor voltage: without the coil's voltage nothing can be fitted; "
-            "add one of them"
-        )
-    return sources
+    def whole(self, found: object) -> RecordingMap:
+        """All of it."""
+        if not isinstance(found, Mapping) or not found:
+            raise self.fail(
+                "",
+                f"found {short(found)}; expected keys such as position: {{topic: ..., unit: mm}}; "
+                "valve-sim map RECORDING writes a first one",
+            )
+        self.check_keys("", found, [*CHANNELS, *_OTHER_KEYS], OF_ANOTHER)
+        clock = self.choice("clock", found.get("clock", ""), ("", *CLOCKS))
+        time = self._time_axis(found["time"]) if "time" in found else None
+        if "valves" in found:
+            alone = [key for key in found if key in CHANNELS or key in ("valve", "sensor")]
+            if alone:
+                raise self.fail(alone[0], "found beside valves:; expected it below one of them")
+            named = self.mapping("valves", found["valves"], "names and what is recorded of each")
+            if not named:
+                raise self.fail("valves", "found {}, expected names and what is recorded of each")
+            entries = {f"valves.{name}.": (name, own) for name, own in named.items()}
+            for prefix, (_, own) in entries.items():
+                self.mapping(prefix.rstrip("."), own, "keys such as position:")
+                self.check_keys(prefix.rstrip("."), own, [*CHANNELS, "sensor"])
+        else:
+            name = found.get("valve", DEFAULT_VALVE)
+            if not isinstance(name, str) or not name.strip("/"):
+                raise self.fail("valve", f"found {short(name)}, expected a name such as {DEFAULT_VALVE}")
+            entries = {"": (name, found)}
+        valves = {_absolute(name): self._sources(prefix, own, clock) for prefix, (name, own) in entries.items()}
+        sensors = {_absolute(name): self._sensor(prefix, own) for prefix, (name, own) in entries.items()}
+        self._check_kind(valves, time)
+        return RecordingMap(self.where, valves, time, sensors)
 
+    def _sensor(self, prefix: str, entries: Mapping[Any, Any]) -> DeclaredSensor:
+        """What the entry of a valve says of its position sensor."""
+        key = f"{prefix}sensor"
+        found = self.mapping(key, entries.get("sensor", {}), "{averaging: 10} or {bandwidth: 500}")
+        if "sensor" in entries and "position" not in entries:
+            raise self.fail(key, "is that of the position, of which the map names none; add position: or take it out")
+        self.check_keys(key, found, ["averaging", "bandwidth"])
+        count = found.get("averaging", 1)
+        if isinstance(count, bool) or not isinstance(count, int) or not 1 <= count <= MOST_AVERAGED:
+            raise self.fail(
+                f"{key}.averaging",
+                f"found {short(count)}, expected a whole number of readings from 1 to {MOST_AVERAGED}",
+            )
+        bandwidth = found.get("bandwidth", math.inf)
+        if isinstance(bandwidth, bool) or not isinstance(bandwidth, int | float) or not bandwidth >= 1.0:
+            raise self.fail(f"{key}.bandwidth", f"found {short(bandwidth)}, expected a frequency in Hz from 1 on")
+        return DeclaredSensor(count, float(bandwidth))
 
-def _source(dimension: str, found: object, clock: str, where: str) -> Source:
-    if isinstance(found, str):
-        found = {"topic": found} if found.startswith("/") else {"column": found}
-    elif isinstance(found, int) and not isinstance(found, bool):
-        found = {"column": found}
-    if not isinstance(found, Mapping):
-        raise MapError(
-            f"{where}: found {_short(found)}, expected {{topic: ..., unit: ...}} or {{column: ..., unit: ...}}"
-        )
-    names = [entry.name for entry in fields(Source)]
-    _check_keys(found, names, where, "")
-    values: dict[str, Any] = {}
-    for name, value in found.items():
-        values[name] = (
-            _text(name, value, f"{where}.{name}") if name in _TEXTS else _number(name, value, f"{where}.{name}")
-        )
-    source = Source(**values)
-    if source.unit and source.unit not in UNITS[dimension]:
-        raise MapError(f"{where}.unit: found {source.unit!r}, expected one of {', '.join(UNITS[dimension])}")
-    if bool(source.topic) == bool(source.column):
-        raise MapError(
-            f"{where}: found {_short(dict(found))}, expected either topic: (of a bag) or column: (of a table)"
-        )
-    if source.topic and not source.topic.startswith("/"):
-        raise MapError(f"{where}.topic: found {source.topic!r}, expected a name that begins with /")
-    if source.joint and "[" in source.field:
-        raise MapError(f"{where}: has joint {source.joint} and field {source.field}; give the joint or the index")
-    return source if source.clock else replace(source, clock=clock)
+    def _sources(self, prefix: str, entries: Mapping[Any, Any], clock: str) -> Mapping[str, Source]:
+        """What is recorded of one valve."""
+        sources = {
+            key: self.source(f"{prefix}{key}", own, CHANNELS[key].dimension, clock)
+            for key, own in entries.items()
+            if key in CHANNELS
+        }
+        where = prefix.rstrip(".")
+        if not set(JUDGED) & set(sources):
+            raise self.fail(
+                where,
+                "names no position; say where it is: position: {topic: ..., unit: mm}, or where the coil's current "
+                "is: current:",
+            )
+        if not {"command", "voltage"} & set(sources):
+            raise self.fail(
+                where,
+                "names neither command nor voltage: without the coil's voltage nothing can be fitted; add one of them",
+            )
+        return sources
 
+    def source(self, key: str, found: object, dimension: str, clock: str = "") -> Source:
+        """Where one channel is; `clock` is that of an entry that names none."""
+        if isinstance(found, str):
+            found = {"topic": found} if found.startswith("/") else {"column": found}
+        elif isinstance(found, int) and not isinstance(found, bool):
+            found = {"column": found}
+        entry = self.mapping(key, found, "{topic: ..., unit: ...} or {column: ..., unit: ...}")
+        self.check_keys(key, entry, [own.name for own in fields(Source)])
+        texts = {name: self.text(f"{key}.{name}", entry[name]) for name in _TEXTS if name in entry}
+        numbers = {name: self.number(f"{key}.{name}", entry[name]) for name in _NUMBERS if name in entry}
+        if numbers.get("sign", 1.0) not in (1.0, -1.0):
+            raise self.fail(f"{key}.sign", f"found {numbers['sign']:g}, expected 1 or -1; a factor is scale:")
+        if numbers.get("scale", 1.0) <= 0.0:
+            raise self.fail(
+                f"{key}.scale",
+                f"found {numbers['scale']:g}, expected a number above 0; sign: -1 turns the direction round",
+            )
+        self.choice(f"{key}.clock", texts.setdefault("clock", clock), ("", *CLOCKS))
+        source = Source(**texts, **numbers)  # type: ignore[arg-type] # texts and numbers by their names
+        if source.unit and source.unit not in UNITS[dimension]:
+            raise self.fail(f"{key}.unit", f"found {source.unit!r}, expected one of {', '.join(UNITS[dimension])}")
+        if bool(source.topic) == bool(source.column):
+            raise self.fail(
+                key, f"found {short(dict(entry))}, expected either topic: (of a bag) or column: (of a table)"
+            )
+        if source.topic and not source.topic.startswith("/"):
+            raise self.fail(f"{key}.topic", f"found {source.topic!r}, expected a name that begins with /")
+        if source.joint and "[" in source.field:
+            raise self.fail(key, f"has joint {source.joint} and field {source.field}; give the joint or the index")
+        return source
 
-def _check_kind(valves: Mapping[str, Mapping[str, Source]], time: TimeAxis | None, path: str) -> None:
-    """A map is of a bag (topics) or of a table (columns and time)."""
-    entries = [(key, source) for sources in valves.values() for key, source in sources.items()]
-    columns = [key for key, source in entries if source.column]
-    if columns and len(columns) < len(entries):
-        topic = next(key for key, source in entries if source.topic)
-        raise MapError(f"{path}: {columns[0]} is a column and {topic} a topic; expected all of one file")
-    if columns and time is None:
-        raise MapError(f"{path}: names no time; add time: {{column: ..., unit: s}} or time: {{rate: ...}} (Hz)")
-    if time is not None and not columns:
-        raise MapError(f"{path}: time: is for tables; messages of a bag have their own: clock: header or clock: bag")
+    def _check_kind(self, valves: Mapping[str, Mapping[str, Source]], time: TimeAxis | None) -> None:
+        """A map is of a bag (topics) or of a table (columns and time)."""
+        entries = [(key, source) for sources in valves.values() for key, source in sources.items()]
+        columns = [key for key, source in entries if source.column]
+        if columns and len(columns) < len(entries):
+            topic = next(key for key, source in entries if source.topic)
+            raise self.fail("", f"{columns[0]} is a column and {topic} a topic; expected all of one file")
+        if columns and time is None:
+            raise self.fail("", "names no time; add time: {column: ..., unit: s} or time: {rate: ...} (Hz)")
+        if time is not None and not columns:
+            raise self.fail("time", "is for tables; messages of a bag have their own: clock: header or clock: bag")
 
-
-def _time_axis(found: object, where: str) -> TimeAxis:
-    if isinstance(found, str | int) and not isinstance(found, bool):
-        found = {"column": found}
-    if not isinstance(found, Mapping):
-        raise MapError(f"{where}: found {_short(found)}, expected {{column: ..., unit: s}} or {{rate: ...}}")
-    _check_keys(found, ["column", "unit", "rate"], where, "")
-    column = _text("column", found.get("column", ""), f"{where}.column")
-    unit = found.get("unit", "s")
-    if unit not in UNITS["time"]:
-        raise MapError(f"{where}.unit: found {unit!r}, expected one of {', '.join(UNITS['time'])}")
-    rate = _number("rate", found.get("rate", 0.0), f"{where}.rate") if "rate" in found else 0.0
-    if bool(column) == ("rate" in found):
-        raise MapError(f"{where}: found {_short(dict(found))}, expected either column: or rate:")
-    if rate < 0.0 or ("rate" in found and rate == 0.0):
-        raise MapError(f"{where}.rate: found {rate:g}, expected a number of rows a second above 0")
-    return TimeAxis(column, str(unit), rate)
-
-
-def _text(name: str, value: object, where: str) -> str:
-    if name == "column" and isinstance(value, int) and not isinstance(value, bool):
-        value = str(value)
-    if not isinstance(value, str):
-        raise MapError(f"{where}: found {_short(value)}, expected text")
-    return _clock(value, where) if name == "clock" else value.strip()
-
-
-def _clock(value: object, where: str) -> str:
-    if value != "" and value not in CLOCKS:
-        raise MapError(f"{where}: found {_short(value)}, expected {' or '.join(CLOCKS)}")
-    return str(value)
-
-
-def _number(name: str, value: object, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise MapError(f"{where}: found {_short(value)}, expected a finite number")
-    if name == "sign" and value not in (1, -1):
-        raise MapError(f"{where}: found {value:g}, expected 1 or -1; a factor is scale:")
-    if name == "scale" and value <= 0:
-        raise MapError(f"{where}: found {value:g}, expected a number above 0; sign: -1 turns the direction round")
-    return float(value)
-
-
-def _check_keys(found: Mapping[Any, Any], known: Sequence[str], where: str, prefix: str, hint: str = "") -> None:
-    for key in found:
-        if key not in known:
-            alike = difflib.get_close_matches(str(key), known, n=1, cutoff=0.6)
-            mend = f"did you mean {alike[0]}? " if alike else ""
-            raise MapError(f"{where}: {prefix}{key}: unknown key; {mend}expected one of {', '.join(known)}{hint}")
-
-
-def _short(value: object) -> str:
-    text = "nothing" if value is None else repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
+    def _time_axis(self, found: object) -> TimeAxis:
+        if isinstance(found, str | int) and not isinstance(found, bool):
+            found = {"column": found}
+        entry = self.mapping("time", found, "{column: ..., unit: s} or {rate: ...}")
+        self.check_keys("time", entry, ["column", "unit", "rate"])
+        column = self.text("time.column", entry.get("column", ""))
+        unit = entry.get("unit", "s")
+        if unit not in UNITS["time"]:
+            raise self.fail("time.unit", f"found {unit!r}, expected one of {', '.join(UNITS['time'])}")
+        rate = self.number("time.rate", entry.get("rate", 0.0))
+        if bool(column) == ("rate" in entry):
+            raise self.fail("time", f"found {short(dict(entry))}, expected either column: or rate:")
+        if rate < 0.0 or ("rate" in entry and rate == 0.0):
+            raise self.fail("time.rate", f"found {rate:g}, expected a number of rows a second above 0")
+        return TimeAxis(column, str(unit), rate)

@@ -11,7 +11,8 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from valve_sim.files.recording_map import QUANTITIES, MapError, Source, load_map
+from valve_sim.files.channels import CHANNELS
+from valve_sim.files.recording_map import MapError, Source, load_map
 from valve_sim.nodes.realtime import NANOSECONDS
 
 FLOAT: Final = "std_msgs/msg/Float64"
@@ -37,7 +38,7 @@ class LiveInput(NamedTuple):
         number = _number(message, self.source)
         if math.isnan(number):
             return number
-        return float(self.source.to_si(np.array([number]), QUANTITIES[self.quantity].dimension)[0])
+        return float(self.source.to_si(np.array([number]), CHANNELS[self.quantity].dimension)[0])
 
     def stamp(self, message: Any) -> int:
         """The header's stamp, ns; 0 where there is none, it is not set, or the map says clock: bag."""

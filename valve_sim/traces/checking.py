@@ -10,16 +10,12 @@ from typing import Final
 
 import numpy as np
 
+from valve_sim.files.channels import JUDGED, SIGNALS, Signal
 from valve_sim.model import Drive
 from valve_sim.signals.long_columns import places_in
 from valve_sim.traces.errors import TraceError
-from valve_sim.traces.trace import Signal, Trace
+from valve_sim.traces.trace import Trace
 
-SIGNALS: Final = (
-    "coil_current", "coil_voltage", "acceleration", "inlet_pressure", "outlet_pressure", "demand_pressure",
-    "coil_temperature",
-)  # fmt: skip
-"""What a trace may have beside positions, each with its own times."""
 FEWEST: Final = 3
 """Samples of what a valve is judged by: fewer have no rate and no noise."""
 
@@ -50,15 +46,13 @@ def _check_trace(trace: Trace) -> None:
     _check_series(f"{where}times", trace.times, f"{where}pilot_position", trace.pilot_position, rises=True)
     if trace.main_position is not None:
         _check_series(f"{where}times", trace.times, f"{where}main_position", trace.main_position, rises=True)
-    for name in SIGNALS:
-        signal = getattr(trace, name)
-        if signal is None:
-            continue
+    for name, signal in trace.signals().items():
         if not isinstance(signal, Signal):
             raise TraceError(f"{where}{name}: found {type(signal).__name__}, expected a valve_sim.traces.Signal")
         _check_series(f"{where}{name}.times", signal.times, f"{where}{name}.values", signal.values)
-    if not trace.has_positions and trace.coil_current is None and trace.outlet_pressure is None:
-        raise TraceError(f"{where}found neither positions nor coil_current nor outlet_pressure, expected one of them")
+    others = [SIGNALS[key].name for key in JUDGED[1:]]
+    if not trace.has_positions and not set(others) & set(trace.signals()):
+        raise TraceError(f"{where}found neither positions nor {' nor '.join(others)}, expected one of them")
     if len(trace.sample_times) < FEWEST:
         raise TraceError(
             f"{where}found {len(trace.sample_times)} samples of the {trace.primary_signal}, expected {FEWEST}"

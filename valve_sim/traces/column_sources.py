@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Protocol
@@ -11,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.files.data_tables import TABLE_SUFFIXES, DataTable, open_table
-from valve_sim.files.plant_files import one_line
-from valve_sim.files.recording_map import CLOCKS, MapError, Source
-from valve_sim.model.core.own.units import Unit, UnitError, parse_unit
+from valve_sim.files.entries import Entries, short
+from valve_sim.files.recording_map import CLOCKS, Source
+from valve_sim.model.core.own.units import parse_unit
 from valve_sim.traces.clocks import SECOND
 from valve_sim.traces.errors import TraceError
 from valve_sim.traces.message_fields import missing_field, stamps_of, values_of
@@ -24,54 +23,6 @@ Array = NDArray[np.float64]
 TIME_KEYS: Final = ("column", "unit", "rate")
 FEWEST: Final = 3
 """Samples of different times, of which a quantity has at least so many."""
-
-
-class MapReader:
-    """Reads the entries of a map, whose errors name its file and the key."""
-
-    def __init__(self, where: str) -> None:
-        self.where = where
-
-    def fail(self, key: str, words: str) -> MapError:
-        """An error of a key, to be raised."""
-        return MapError(one_line(f"{self.where}: {key}: {words}" if key else f"{self.where}: {words}"))
-
-    def check_keys(self, key: str, entry: Mapping[Any, Any], known: Sequence[str]) -> None:
-        """Refuse keys that are not known."""
-        for own in entry:
-            if own not in known:
-                raise self.fail(f"{key}.{own}", f"unknown key; expected one of {', '.join(known)}")
-
-    def number(self, key: str, found: object) -> float:
-        """A finite number."""
-        if isinstance(found, bool) or not isinstance(found, int | float) or not math.isfinite(found):
-            raise self.fail(key, f"found {short(found)}, expected a finite number")
-        return float(found)
-
-    def choice(self, key: str, found: object, known: Sequence[object]) -> Any:
-        """One of a few values."""
-        if isinstance(found, bool) or found not in known:
-            raise self.fail(key, f"found {short(found)}, expected {' or '.join(map(str, known))}")
-        return found
-
-    def text(self, key: str, found: object) -> str:
-        """A text; YAML may have read it as a number."""
-        text = str(found) if isinstance(found, int) and not isinstance(found, bool) else found
-        if not isinstance(text, str):
-            raise self.fail(key, f"found {short(found)}, expected a name")
-        return text
-
-    def unit(self, key: str, entry: Mapping[str, Any]) -> Unit | None:
-        """The unit of an entry; None where it names none."""
-        if "unit" not in entry:
-            return None
-        text = "1" if entry["unit"] == 1 else entry["unit"]
-        if not isinstance(text, str):
-            raise self.fail(f"{key}.unit", f"found {short(text)}, expected a text such as mm")
-        try:
-            return parse_unit(text)
-        except UnitError as error:
-            raise self.fail(f"{key}.unit", str(error)) from error
 
 
 class Series(NamedTuple):
@@ -97,7 +48,7 @@ class ColumnSource(Protocol):
 
 
 def source_of(
-    path: Path, map_reader: MapReader, found: Mapping[Any, Any] | None
+    path: Path, map_reader: Entries, found: Mapping[Any, Any] | None
 ) -> tuple[ColumnSource, Mapping[Any, Any]]:
     """The recording, opened, and the entries of its map.
 
@@ -127,7 +78,7 @@ class TableRows:
 
     keys: Sequence[str] = ("column",)
 
-    def __init__(self, path: Path, table: DataTable, map_reader: MapReader, time: object) -> None:
+    def __init__(self, path: Path, table: DataTable, map_reader: Entries, time: object) -> None:
         self._path, self._table, self._map = path, table, map_reader
         self.findings: list[str] = []
         self._times, self._kept = self._read_times(time)
@@ -140,11 +91,10 @@ class TableRows:
         return Series(f"column {label}", self._times, self._table.column(label)[self._kept])
 
     def _named(self, key: str, name: object) -> str:
-        text, names = self._map.text(key, name), self._table.names
-        if text not in names and not (text.isdigit() and 1 <= int(text) <= len(names)):
-            raise self._map.fail(
-                key, f"column {text} is not in {self._path}; it has {', '.join(names[:20])}; name one of these"
-            )
+        text = self._map.text(key, name)
+        if not self._table.has(text):
+            listed = ", ".join(self._table.names[:20])
+            raise self._map.fail(key, f"column {text} is not in {self._path}; it has {listed}; name one of these")
         return text
 
     def _read_times(self, found: object) -> tuple[Array, NDArray[np.bool_]]:
@@ -164,7 +114,7 @@ class TableRows:
                 raise self._map.fail("time.rate", f"found {rate:g}, expected rows a second above 0")
             count = len(self._table.column(self._table.names[0]))
             return np.arange(count) / rate, np.ones(count, dtype=bool)
-        unit = self._map.unit("time", found) or parse_unit("s")
+        unit = self._map.unit("time.unit", found.get("unit", "s"))
         if unit.dimension != parse_unit("s").dimension:
             raise self._map.fail("time.unit", f"found {found['unit']!r}, expected one of time: s, ms, us, min")
         times, kept, repeated = self._table.row_times(self._named("time.column", found["column"]), unit.factor)
@@ -182,7 +132,7 @@ class BagTopics:
 
     keys: Sequence[str] = ("topic", "field", "joint", "clock")
 
-    def __init__(self, path: Path, map_reader: MapReader, entries: Mapping[Any, Any], clock: object) -> None:
+    def __init__(self, path: Path, map_reader: Entries, entries: Mapping[Any, Any], clock: object) -> None:
         self._path, self._map = path, map_reader
         self._clock = map_reader.choice("clock", clock, ("", *CLOCKS))
         sources = {name: self._source(str(name), own) for name, own in entries.items()}
@@ -216,24 +166,12 @@ class BagTopics:
             raise self._map.fail(
                 f"{key}.topic", f"{topic} is not in {self._path}; it has {', '.join(sorted(types)[:20])}; name one"
             )
-        found = self._recording.topics.get(topic)
-        if found is None:
-            raise TraceError(f"{self._path}: topic {topic} holds no message; record it while the machine works")
-        if found.decoded is None:
-            raise TraceError(
-                f"{self._path}: topic {topic} is {types[topic]}, whose definition the recording does not hold; "
-                "record it as MCAP, or publish a standard type"
-            )
-        if not found.decoded.batches:
-            raise TraceError(
-                f"{self._path}: topic {topic}: none of {found.size} messages can be read as {types[topic]}; "
-                "record it again"
-            )
-        readings, without = values_of(found.decoded.batches, found.size, source)
+        times, decoded = self._recording.decoded(self._path, topic)
+        readings, without = values_of(decoded.batches, len(times), source)
         if without is not None and np.isnan(readings).all():
             raise self._map.fail(key, f"topic {topic} of {self._path} {missing_field(without, source)}")
-        batches = () if source.clock == "bag" else found.decoded.batches
-        stamps, is_stamped = stamps_of(batches, found.bag_times, may_be_zero=False)
+        batches = () if source.clock == "bag" else decoded.batches
+        stamps, is_stamped = stamps_of(batches, times, may_be_zero=False)
         if source.clock == "header" and not is_stamped.any():
             raise self._map.fail(
                 f"{key}.clock", f"header, but the messages of {topic} ({types[topic]}) have no stamp; use clock: bag"
@@ -245,9 +183,3 @@ class BagTopics:
         if len(order) < FEWEST:
             raise TraceError(f"{self._path}: topic {topic}: found {len(order)} messages, expected at least {FEWEST}")
         return stamps[order], readings[order]
-
-
-def short(value: object) -> str:
-    """A value for a message."""
-    text = "nothing" if value is None else repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."

@@ -26,11 +26,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from valve_sim.files.entries import Entries, short
 from valve_sim.files.recording_map import MapError
 from valve_sim.files.yaml_files import read_yaml
 from valve_sim.model.core.own.grammar import Expr, ExpressionError, names_in, parse
 from valve_sim.model.core.own.units import Unit, parse_unit
-from valve_sim.traces.column_sources import MapReader, short, source_of
+from valve_sim.traces.column_sources import source_of
 from valve_sim.traces.errors import TraceError
 
 Array = NDArray[np.float64]
@@ -152,7 +153,7 @@ class _Reading:
     """One reading of one recording by one map."""
 
     def __init__(self, path: Path, where: str, found: Mapping[Any, Any] | None) -> None:
-        self._path, self._map = path, MapReader(where)
+        self._path, self._map = path, Entries(where, MapError)
         self._use = (found or {}).get("use")
         self._source, self._entries = source_of(path, self._map, found)
         self._findings: list[str] = []
@@ -199,7 +200,7 @@ class _Reading:
         if not used.all():
             self._findings.append(f"{label}: {int((~used).sum())} of {len(used)} cells are empty and were left out")
             readings = np.interp(times, times[used], readings[used])
-        unit = self._map.unit(name, entry)
+        unit = self._map.unit(f"{name}.unit", entry["unit"]) if "unit" in entry else None
         low_pass, every, order = self._filter(name, entry, times)
         if low_pass < math.inf:
             near = _near_gaps(times, low_pass)

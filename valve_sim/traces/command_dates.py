@@ -17,7 +17,7 @@ from valve_sim.signals.voltage_steps import UNIFORM
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from valve_sim.traces.trace import Signal
+    from valve_sim.files.channels import Signal
 
     Array = NDArray[np.float64]
 

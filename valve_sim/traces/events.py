@@ -21,8 +21,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from valve_sim.files.channels import Signal
     from valve_sim.traces.strokes import StrokePart
-    from valve_sim.traces.trace import Signal, Trace
+    from valve_sim.traces.trace import Trace
 
     Array = NDArray[np.float64]
 

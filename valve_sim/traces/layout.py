@@ -4,69 +4,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
+from valve_sim.files.channels import CHANNELS, COIL, COIL_STATE, FLOAT, JOINT_STATE, JUDGED, LIVE_COIL
 from valve_sim.files.recording_map import RecordingMap, Source
 from valve_sim.traces.command_log import logs_among
 from valve_sim.traces.errors import TraceError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Collection, Mapping
     from pathlib import Path
 
-FLOAT = "std_msgs/msg/Float64"
-JOINT_STATE = "sensor_msgs/msg/JointState"
-COMMAND = "coil_voltage"
-MEASURED = "measured/joint_states"
-LIVE = "joint_states"
-COIL = "measured/coil"
-LIVE_COIL = "coil"
-COIL_STATE = "sensor_msgs/msg/BatteryState"
-"""Of both: `current` and `voltage` at the coil's terminals, `temperature`; NaN where it was not measured."""
-PILOT = "pilot_plunger"
-MAIN = "main_plunger"
-
+COMMAND, MEASURED, LIVE = "coil_voltage", "measured/joint_states", "joint_states"
 POSITIONS = ("position", "main_position")
 INPUTS = ("command", "voltage")
-JUDGED = ("position", "current", "outlet_pressure")
-"""By which of these a valve is judged: the first that is recorded."""
-SIGNALS = {
-    "current": "coil_current",
-    "acceleration": "acceleration",
-    "pressure": "inlet_pressure",
-    "outlet_pressure": "outlet_pressure",
-    "demand_pressure": "demand_pressure",
-    "temperature": "coil_temperature",
-    "voltage": "coil_voltage",
-}
-"""What a map calls a quantity, and what a trace calls it."""
-
-
-class Channel(NamedTuple):
-    """An optional quantity: where it is recorded, as what, and under which field."""
-
-    topic: str
-    message_type: str
-    path: str
-
-
-PRESSURE = "sensor_msgs/msg/FluidPressure"
-CHANNELS = {
-    "coil_current": Channel("measured/coil_current", FLOAT, "data"),
-    "acceleration": Channel("measured/acceleration", "sensor_msgs/msg/Imu", "linear_acceleration.x"),
-    "inlet_pressure": Channel("measured/inlet_pressure", PRESSURE, "fluid_pressure"),
-    "outlet_pressure": Channel("measured/outlet_pressure", PRESSURE, "fluid_pressure"),
-    "demand_pressure": Channel("measured/demand_pressure", PRESSURE, "fluid_pressure"),
-    "coil_temperature": Channel("measured/coil_temperature", "sensor_msgs/msg/Temperature", "temperature"),
-}
-_ENDS = ("inlet_pressure", "demand_pressure")
-OBEYED = {name: Channel(f"obeyed/{name}", PRESSURE, "fluid_pressure") for name in _ENDS}
-"""What a node obeys of the pressures at a valve's ends, and from when on; read where they were not measured."""
-TOLD = {name: Channel(name, PRESSURE, "fluid_pressure") for name in _ENDS}
-"""What a node is told of them; read where that was not recorded."""
-NODE_OUTPUTS = {
-    "coil_current": Channel("coil_current", FLOAT, "data"),
-    "outlet_pressure": Channel("outlet_pressure", PRESSURE, "fluid_pressure"),
-}
-"""What a node publishes; read, beside its positions, where it was not measured."""
 
 
 class Plan(NamedTuple):
@@ -139,7 +88,6 @@ def standard_plan(path: Path, valve: str | None, types: Mapping[str, str]) -> Pl
     """
     name = _choose_valve(path, valve, types)
     command, measured, live = (topic_of(name, end) for end in (COMMAND, MEASURED, LIVE))
-    # A node's coil belongs to a node's positions; beside measured ones it is another valve's.
     ends = (COIL,) if measured in types or _has_current(name, types) else (COIL, LIVE_COIL)
     coil = next((topic for end in ends if (topic := topic_of(name, end)) in types), "")
     if command not in types and not coil:
@@ -148,7 +96,7 @@ def standard_plan(path: Path, valve: str | None, types: Mapping[str, str]) -> Pl
         )
     is_measured_coil = coil == topic_of(name, COIL)
     positions = measured if measured in types or is_measured_coil else live
-    pressure = topic_of(name, CHANNELS["outlet_pressure"].topic)
+    pressure = _measured_topic(name, "outlet_pressure")
     if positions not in types and not coil and not _has_current(name, types) and pressure not in types:
         raise TraceError(
             f"{path}: neither {measured} nor {live} is in it, nor the coil's current ({topic_of(name, COIL)}); record "
@@ -159,36 +107,43 @@ def standard_plan(path: Path, valve: str | None, types: Mapping[str, str]) -> Pl
         if topic in types and types[topic] != kind:
             raise TraceError(f"{path}: topic {topic} is {types[topic]}, expected {kind}; publish it as that")
     is_live = measured not in types
-    sources: dict[str, Source] = {}
-    if command in types:
-        sources["command"] = Source(command, "data", type=FLOAT, clock="bag")
-    if positions in types:
-        sources["position"] = Source(positions, "position", PILOT, type=JOINT_STATE)
-        sources["main_position"] = Source(positions, "position", MAIN, type=JOINT_STATE)
-    others = _optional(name, types, is_live=is_live and not is_measured_coil)
-    if coil:
-        sources |= {key: Source(coil, key, type=COIL_STATE) for key in ("voltage", "current", "temperature")}
-        if is_measured_coil and "temperature" in others:
-            sources["temperature"] = others.pop("temperature")
-    sources = {**others, **sources}
-    others = {key: source for key, source in others.items() if sources[key] != source}
+    # A node's coil belongs to a node's positions; beside measured ones it is another valve's.
+    without = {LIVE_COIL} if coil != topic_of(name, LIVE_COIL) else set()
+    found = _recorded_places(name, types, without, with_nodes=is_live and not is_measured_coil)
+    sources = {key: places[0] for key, places in found.items()}
+    others = {key: places[1] for key, places in found.items() if places[0].type == COIL_STATE and len(places) > 1}
     ignored = live if live in types and is_measured_coil and is_live else ""
     return Plan(name, sources, is_live and positions in types, logs=logs_among(types), others=others, ignored=ignored)
 
 
+def _measured_topic(valve: str, key: str) -> str:
+    """The topic in which a channel is recorded by its own sensor."""
+    place = CHANNELS[key].own_topic
+    assert place is not None
+    return topic_of(valve, place.topic)
+
+
 def _has_current(valve: str, types: Mapping[str, str]) -> bool:
-    return topic_of(valve, CHANNELS["coil_current"].topic) in types
+    return _measured_topic(valve, "current") in types
 
 
-def _optional(valve: str, types: Mapping[str, str], *, is_live: bool) -> dict[str, Source]:
-    """What is recorded in topics of its own, by quantity."""
-    of_node = NODE_OUTPUTS if is_live else {}
-    found = {}
-    for key, attribute in SIGNALS.items():
-        for channel in (known.get(attribute) for known in (CHANNELS, OBEYED, TOLD, of_node)):
-            if channel is not None and (topic := topic_of(valve, channel.topic)) in types:
-                found[key] = Source(topic, channel.path, type=channel.message_type)
-                break
+def _recorded_places(
+    valve: str, types: Mapping[str, str], without: Collection[str], *, with_nodes: bool
+) -> dict[str, list[Source]]:
+    """Where each channel is recorded, the place that counts first, by key.
+
+    Args:
+        without: Topics below the valve's name that do not count. with_nodes: Whether what a node computes counts.
+    """
+    found: dict[str, list[Source]] = {}
+    for key, channel in CHANNELS.items():
+        # A command says nothing of when it was sent: it counts from when it was recorded.
+        clock = "bag" if channel.role == "command" else ""
+        for place in channel.places:
+            topic = topic_of(valve, place.topic)
+            if topic in types and place.topic not in without and (with_nodes or not place.by_node):
+                source = Source(topic, place.field, place.joint, type=place.message_type, clock=clock)
+                found.setdefault(key, []).append(source)
     return found
 
 

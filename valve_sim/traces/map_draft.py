@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from valve_sim.files.channels import CHANNELS, SIGNALS, UNITS
 from valve_sim.files.data_tables import TABLE_SUFFIXES, DataTable, open_table
-from valve_sim.files.recording_map import QUANTITIES, UNITS
 from valve_sim.files.tables import TableError
 from valve_sim.signals.voltage_steps import count_levels
 from valve_sim.traces.errors import TraceError
@@ -21,16 +21,10 @@ if TYPE_CHECKING:
 
     from valve_sim.model import ValveParameters
 
-HINTS: Mapping[str, str] = {
-    "position": r"pos|lift|lvdt|displ|stroke|travel|plunger|laser|range|dist|tracker|point|hub|weg",
-    "command": r"command|cmd|setpoint|demand|supply|driver|volts",
-    "voltage": r"volt|(^|[^a-z])u_|spannung",
-    "current": r"curr|(^|[^a-z])amp(s|ere|$|[^a-z])|clamp|strom|effort|(^|[^a-z])i_",
-    "acceleration": r"accel|imu",
-    "pressure": r"press|druck|_bar",
-    "temperature": r"temp",
-}
-"""Words in the names of a quantity's topics, fields and columns."""
+HINTS = {key: channel.hint for key, channel in CHANNELS.items() if channel.hint}
+"""Words in the names of a channel's topics, fields and columns."""
+BESIDE = [key for key in HINTS if key in SIGNALS and key != "voltage"]
+"""What is looked for beside voltage and position."""
 PLAIN = re.compile(r"(?:time|t|zeit|timestamp|sec|seconds|elapsed).*", re.IGNORECASE)
 FEW_MESSAGES = 0.2
 """A topic with less than this share of the messages of another is a command: sent when it changes."""
@@ -145,7 +139,7 @@ def _guesses(series: Sequence[Series], parameters: ValveParameters) -> list[Gues
         for main in [entry for entry in rest if _is_main(entry) and _names(entry, "position")][:1]:
             rest.remove(main)
             guesses.append(_position_guess("main_position", main, parameters))
-    for quantity in ("current", "acceleration", "pressure", "temperature"):
+    for quantity in BESIDE:
         named = [entry for entry in rest if _names(entry, quantity)]
         # A current without a name is taken to be the remaining channel of an oscilloscope.
         unnamed = rest if quantity == "current" and len(rest) == 1 and "column" in rest[0].place else []
@@ -165,15 +159,15 @@ def _is_possible(quantity: str, entry: Series, parameters: ValveParameters) -> b
 
     A current that would be refused as soon as it is read is none, and nothing is colder than absolute zero.
     """
-    units = UNITS[QUANTITIES[quantity].dimension]
+    channel = CHANNELS[quantity]
+    units, (least, most) = UNITS[channel.dimension], channel.bounds
     possible = [units[entry.unit]] if entry.unit in units else list(units.values())
     if quantity == "current":
         # The drive may be of several times the reference voltage, as with peak and hold.
-        most = MOST_AMPERES * parameters.reference_voltage / parameters.coil_resistance
-        return any(unit.factor * max(abs(entry.low), abs(entry.high)) <= most for unit in possible)
-    if quantity == "temperature":
-        return any(unit.factor * entry.low + unit.zero >= -273.15 for unit in possible)
-    return True
+        amperes = MOST_AMPERES * parameters.reference_voltage / parameters.coil_resistance
+        return any(unit.factor * max(abs(entry.low), abs(entry.high)) <= amperes for unit in possible)
+    usual = float(np.median(entry.values))
+    return any(least <= unit.factor * usual + unit.zero <= most for unit in possible)
 
 
 def _best(series: Sequence[Series], score: Callable[[Series], float]) -> Series | None:
@@ -182,7 +176,7 @@ def _best(series: Sequence[Series], score: Callable[[Series], float]) -> Series 
 
 
 def _names(entry: Series, quantity: str) -> bool:
-    units = UNITS[QUANTITIES[quantity].dimension]
+    units = UNITS[CHANNELS[quantity].dimension]
     return bool(re.search(HINTS[quantity], entry.words)) or (entry.unit in units and entry.unit not in ("g", "m"))
 
 
@@ -190,14 +184,14 @@ def _voltage_score(entry: Series) -> float:
     """How much a series looks like a voltage that is switched."""
     levels = count_levels(entry.values)
     named = _names(entry, "command") or bool(re.search(HINTS["voltage"], entry.words))
-    other = any(_names(entry, quantity) for quantity in ("position", "current", "acceleration", "pressure"))
+    other = any(_names(entry, quantity) for quantity in ("position", *BESIDE))
     is_switched = 2 <= levels <= MOST_LEVELS
     return 2.0 * named + is_switched + (0.5 * entry.sharpness if is_switched else 0.0) - 2.0 * (other and not named)
 
 
 def _position_score(entry: Series) -> float:
     """How much a series looks like a plunger between two stops."""
-    other = any(_names(entry, quantity) for quantity in ("current", "acceleration", "pressure", "temperature"))
+    other = any(_names(entry, quantity) for quantity in BESIDE)
     return (
         2.0 * _names(entry, "position") + entry.rest_share - 2.0 * other + 0.1 * entry.is_first_choice - _is_main(entry)
     )
@@ -259,7 +253,7 @@ def _position_guess(quantity: str, entry: Series, parameters: ValveParameters) -
 
 
 def _other_guess(quantity: str, entry: Series, *, is_named: bool, parameters: ValveParameters) -> Guess:
-    dimension = QUANTITIES[quantity].dimension
+    dimension = CHANNELS[quantity].dimension
     units = UNITS[dimension]
     unit = entry.unit if entry.unit in units else next(iter(units))
     highest = max(abs(entry.low), abs(entry.high))
@@ -269,8 +263,8 @@ def _other_guess(quantity: str, entry: Series, *, is_named: bool, parameters: Va
     reasons = [f"reads {entry.low:.4g} to {entry.high:.4g}", "by its name" if is_named else "CHECK: what else is there"]
     if entry.unit not in units:
         reasons.append("CHECK unit, and scale: of a probe")
-    if quantity == "acceleration":
-        reasons.append("CHECK sign and offset: positive towards the core, without gravity")
+    if CHANNELS[quantity].to_check:
+        reasons.append(f"CHECK {CHANNELS[quantity].to_check}")
     return Guess(quantity, entry, {"unit": unit}, reasons)
 
 

@@ -16,7 +16,7 @@ from valve_sim.signals.motion import sample_noise
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from valve_sim.traces.trace import Signal
+    from valve_sim.files.channels import Signal
 
     Array = NDArray[np.float64]
 

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from valve_sim.files.recording_map import QUANTITIES, DeclaredSensor
+from valve_sim.files.channels import CHANNELS, COIL_STATE, MAIN, PILOT, SIGNALS, Signal
+from valve_sim.files.recording_map import DeclaredSensor
 from valve_sim.model.drives import Drive
 from valve_sim.signals.long_columns import any_in
 from valve_sim.signals.voltage_steps import NoStepError, find_steps
@@ -17,13 +18,9 @@ from valve_sim.traces.command_dates import dates_by_voltage
 from valve_sim.traces.command_log import Commands, commands_by_logs
 from valve_sim.traces.errors import TraceError
 from valve_sim.traces.layout import (
-    COIL_STATE,
     INPUTS,
-    MAIN,
     MEASURED,
-    PILOT,
     POSITIONS,
-    SIGNALS,
     Plan,
     mapped_plan,
     standard_plan,
@@ -34,7 +31,7 @@ from valve_sim.traces.message_fields import missing_field, stamps_of, values_of
 from valve_sim.traces.samples import Readings, Samples, in_order, is_broken
 from valve_sim.traces.storage import Recording, read_recording
 from valve_sim.traces.table_reading import is_table, read_table_trace, standard_map
-from valve_sim.traces.trace import DriveErrors, Signal, Trace
+from valve_sim.traces.trace import DriveErrors, Trace
 from valve_sim.traces.trouble import find_problems
 
 if TYPE_CHECKING:
@@ -132,7 +129,7 @@ class _Assembly:
         # Of a node's output nothing has to be estimated; a sensor's first sample would be an error of the start.
         start = None if outlet is None or not self.plan.is_live else float(outlet.values[0])
         if not self.plan.has_positions:
-            signals[SIGNALS[self.plan.primary_signal]] = Signal(times, pilot)
+            signals[SIGNALS[self.plan.primary_signal].name] = Signal(times, pilot)
             times, pilot, main = np.empty((3, 0))
         trace = Trace(
             source=f"{self.path} ({self.plan.valve})",
@@ -160,24 +157,11 @@ class _Assembly:
     def decoded(self, source: Source) -> tuple[PackedTimes, Decoded]:
         """Return bag times and numbers of a topic's messages, of which at least one must be readable."""
         topic = source.topic
-        found = self.recording.topics.get(topic)
-        if found is None:
-            raise TraceError(f"{self.path}: topic {topic} holds no message; record it while the valve works")
-        count, decoded = found.size, found.decoded
-        message_type = self.recording.types[topic]
-        if decoded is None:
-            raise TraceError(
-                f"{self.path}: topic {topic} is {message_type}, whose definition the recording does not hold; "
-                "record it as MCAP, or publish a standard type"
-            )
-        if not decoded.batches:
-            raise TraceError(
-                f"{self.path}: topic {topic}: none of {count} messages can be read as {message_type}; record it again"
-            )
+        times, decoded = self.recording.decoded(self.path, topic)
         if topic not in self._reported:
             self._reported.add(topic)
-            self._report(topic, decoded, count)
-        return found.bag_times, decoded
+            self._report(topic, decoded, len(times))
+        return times, decoded
 
     def _report(self, topic: str, decoded: Decoded, count: int) -> None:
         if decoded.malformed:
@@ -206,7 +190,7 @@ class _Assembly:
         values, without = values_of(decoded.batches, len(times), source)
         if without is not None and np.isnan(values).all():
             raise TraceError(self._no_field(source, without))
-        return source.to_si(values, QUANTITIES[quantity].dimension)
+        return source.to_si(values, CHANNELS[quantity].dimension)
 
     def _no_field(self, source: Source, batch: Batch) -> str:
         found = missing_field(batch, source)
@@ -403,7 +387,7 @@ class _Assembly:
 
     def signals(self, epoch: int, offset: int) -> dict[str, Signal | None]:
         """Return the optional quantities by their names in a trace."""
-        found = {name: self.signal(key, epoch, offset) for key, name in SIGNALS.items()}
+        found = {channel.name: self.signal(key, epoch, offset) for key, channel in SIGNALS.items()}
         if self.plan.map_path and "command" not in self.plan.sources and self._levels_are_input:
             found["coil_voltage"] = None  # its steps are all that is used of it
         return found

@@ -17,6 +17,8 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Schema
 from mcap.stream_reader import StreamReader
 
+from valve_sim.files.channels import CHANNELS
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
@@ -27,16 +29,7 @@ ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 PIECE_SIZE = 1 << 16
 """Compressed bytes are taken in pieces, so that what came before the damage is kept."""
 
-KEPT_TYPES = frozenset(
-    {
-        "std_msgs/msg/Float64",
-        "sensor_msgs/msg/JointState",
-        "sensor_msgs/msg/Imu",
-        "sensor_msgs/msg/FluidPressure",
-        "sensor_msgs/msg/Temperature",
-        "sensor_msgs/msg/BatteryState",
-    }
-)
+KEPT_TYPES = frozenset(place.message_type for channel in CHANNELS.values() for place in channel.places)
 """Types this package reads; a salvage is held in memory, which the images of a camera must not fill."""
 
 

@@ -28,6 +28,8 @@ from valve_sim.traces.topics import Topic, TopicReader, TopicReaders, joined
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, Sequence
 
+    from valve_sim.traces.cdr import Decoded
+    from valve_sim.traces.packed_times import PackedTimes
     from valve_sim.traces.topics import Fields
 
     Select = Callable[[Mapping[str, str]], Fields]
@@ -47,6 +49,26 @@ class Recording(NamedTuple):
     types: Mapping[str, str]
     topics: dict[str, Topic]
     findings: tuple[str, ...]
+
+    def decoded(self, path: Path, name: str) -> tuple[PackedTimes, Decoded]:
+        """Return bag times and numbers of a topic's messages, of which at least one must be readable.
+
+        Raises:
+            TraceError: None is; one line that names the file `path` and the topic.
+        """
+        where, topic = f"{path}: topic {name}", self.topics.get(name)
+        if topic is None:
+            raise TraceError(f"{where} holds no message; record it while something moves")
+        if topic.decoded is None:
+            raise TraceError(
+                f"{where} is {self.types[name]}, whose definition the recording does not hold; record it as MCAP, or "
+                "publish a standard type"
+            )
+        if not topic.decoded.batches:
+            raise TraceError(
+                f"{where}: none of {topic.size} messages can be read as {self.types[name]}; record it again"
+            )
+        return topic.bag_times, topic.decoded
 
 
 class _Part(NamedTuple):

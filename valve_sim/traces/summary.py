@@ -135,13 +135,7 @@ def _rates(trace: Trace) -> dict[str, Rate]:
     times = {"position": trace.times} if trace.has_positions else {}
     if trace.main_position is not None:
         times["main_position"] = trace.times
-    for name in (
-        "coil_current", "coil_voltage", "acceleration", "inlet_pressure", "outlet_pressure", "demand_pressure",
-        "coil_temperature",
-    ):  # fmt: skip
-        signal = getattr(trace, name)
-        if signal is not None:
-            times[name] = signal.times
+    times |= {name: signal.times for name, signal in trace.signals().items()}
     return {name: _rate(stamps) for name, stamps in times.items()}
 
 

@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
+from valve_sim.files.channels import Signal
 from valve_sim.files.tables import TableError, read_table
+from valve_sim.files.yaml_files import read_yaml
 from valve_sim.model import Drive, Response, Valve, ValveError, simulate
-from valve_sim.traces.trace import Signal, Trace
+from valve_sim.traces.trace import Trace
 from valve_sim.traces.writing import CSV_COLUMNS
 
 Array = NDArray[np.float64]
@@ -55,7 +56,7 @@ class Recording(NamedTuple):
     trace: Trace
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """The table of `CSV_COLUMNS`: positions, current, pressure as measured; velocity, phase, flow as they were.
+        """The table of `CSV_COLUMNS`: channels as measured; velocity, phase, and with gas mass_flow, as they were.
 
         Positions that were not measured are NaN.
         """
@@ -72,9 +73,8 @@ class Recording(NamedTuple):
             response.phase,
         )
         columns = dict(zip(CSV_COLUMNS, values, strict=True))
-        if trace.outlet_pressure is not None and response.mass_flow is not None:
-            columns |= {"outlet_pressure": trace.outlet_pressure.values, "mass_flow": response.mass_flow}
-        return columns
+        columns |= {name: signal.values for name, signal in trace.signals().items() if name not in columns}
+        return columns if response.mass_flow is None else {**columns, "mass_flow": response.mass_flow}
 
 
 def record(valve: Valve, drive: Drive, duration: float, rate: float, sensor: Sensor) -> Recording:
@@ -107,18 +107,21 @@ def record(valve: Valve, drive: Drive, duration: float, rate: float, sensor: Sen
     random = np.random.default_rng(sensor.seed)
     pilot = _measured(response.pilot_position, sensor, random)
     main = _measured(response.main_position, sensor, random)
-    current = response.coil_current + sensor.current_noise * random.standard_normal(count)
-    voltage = None
-    if sensor.voltage_noise is not None:
-        voltage = Signal(times, response.coil_voltage + sensor.voltage_noise * random.standard_normal(count))
-    pressure = None
-    if response.outlet_pressure is not None:
-        pressure = Signal(times, response.outlet_pressure + sensor.pressure_noise * random.standard_normal(count))
+    noise = {
+        "coil_current": sensor.current_noise,
+        "coil_voltage": sensor.voltage_noise,
+        "outlet_pressure": sensor.pressure_noise,
+    }
+    signals = {
+        name: Signal(times, clean + sigma * random.standard_normal(count))
+        for name, sigma in noise.items()
+        if sigma is not None and (clean := getattr(response, name)) is not None
+    }
     commands = Drive(drive.times[inside], drive.volts[inside])
     seen = slice(None) if sensor.has_positions else slice(0)
     trace = Trace(
         "simulation", commands, times[seen], pilot[seen], main if sensor.has_positions else None,
-        coil_current=Signal(times, current), coil_voltage=voltage, outlet_pressure=pressure,
+        **signals,  # type: ignore[arg-type] # by the names that a trace has for them
     )  # fmt: skip
     return Recording(response, trace)
 
@@ -154,12 +157,7 @@ def _measured(clean: Array, sensor: Sensor, random: np.random.Generator) -> Arra
 
 
 def _yaml_rows(path: Path | str) -> Array:
-    try:
-        found = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise TableError(f"{path}: cannot be read ({error.strerror}); {_PROFILE_FORM}") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise TableError(f"{path}: {' '.join(str(error).split())}; {_PROFILE_FORM}") from error
+    found = read_yaml(path, _PROFILE_FORM, TableError)
     if not isinstance(found, list) or not found:
         raise TableError(f"{path}: found {str(found)[:60]!r}; {_PROFILE_FORM}")
     return np.array([_yaml_row(path, number, row) for number, row in enumerate(found, start=1)])
@@ -169,7 +167,6 @@ def _yaml_row(path: Path | str, number: int, row: object) -> tuple[float, float]
     pair = [row.get("time"), row.get("volts")] if isinstance(row, Mapping) else row
     if isinstance(pair, Sequence) and len(pair) == 2:
         try:
-            # Through text, because YAML 1.1 takes 1e-3 for a word.
             time, volts = (float(str(value)) for value in pair)
         except ValueError:
             pass

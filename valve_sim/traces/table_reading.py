@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from valve_sim.files.channels import CHANNELS, JUDGED, SIGNALS, UNITS, Signal
 from valve_sim.files.data_tables import TABLE_SUFFIXES, DataTable, open_table
-from valve_sim.files.recording_map import QUANTITIES, UNITS, RecordingMap, Source, TimeAxis
+from valve_sim.files.recording_map import RecordingMap, Source, TimeAxis
 from valve_sim.model.drives import Drive
 from valve_sim.signals.voltage_steps import NoStepError, find_steps, held_steps
 from valve_sim.traces.clocks import SECOND
 from valve_sim.traces.errors import TraceError
-from valve_sim.traces.layout import JUDGED, SIGNALS
-from valve_sim.traces.trace import DriveErrors, Signal, Trace
+from valve_sim.traces.trace import DriveErrors, Trace
 from valve_sim.traces.trouble import find_problems
 
 if TYPE_CHECKING:
@@ -25,15 +25,10 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-OWN_COLUMNS = {
-    "command": "coil_voltage",
-    "position": "pilot_position",
-    "main_position": "main_position",
-    "current": "coil_current",
-}
-"""Of the CSV that `valve-sim simulate` writes."""
-GAS_COLUMN = "outlet_pressure"
-"""A further column of that CSV, of a valve with gas; the quantity has that name, too."""
+OWN_COLUMNS = {key: channel.column or channel.name for key, channel in CHANNELS.items() if key != "voltage"}
+"""By key, of the CSV that `valve-sim simulate` writes; its voltage is the commanded one."""
+ALWAYS = ("command", "position", "main_position", "current")
+"""The keys of those that every such CSV has."""
 
 
 def is_table(path: Path) -> bool:
@@ -47,7 +42,7 @@ def has_own_columns(path: Path) -> bool:
     Raises:
         ValveError: it cannot be read.
     """
-    return {"time", *OWN_COLUMNS.values()} <= set(open_table(path).names)
+    return {"time", *(OWN_COLUMNS[key] for key in ALWAYS)} <= set(open_table(path).names)
 
 
 def standard_map(path: Path) -> RecordingMap:
@@ -63,8 +58,7 @@ def standard_map(path: Path) -> RecordingMap:
             f"{path}: is not a recording of ROS topics but a table ({listed}); say with --map which column is what, "
             f"valve-sim map {path} writes a first map"
         )
-    own = OWN_COLUMNS | ({GAS_COLUMN: GAS_COLUMN} if GAS_COLUMN in names else {})
-    sources = {key: Source(column=column) for key, column in own.items()}
+    sources = {key: Source(column=column) for key, column in OWN_COLUMNS.items() if column in names}
     return RecordingMap(str(path), {"/valve": sources}, TimeAxis("time"))
 
 
@@ -105,8 +99,7 @@ class _TableAssembly:
 
     def trace(self, valve: str) -> Trace:
         """Put the trace together."""
-        judged = next(key for key in JUDGED if key in self.sources)
-        pilot = self.column(judged)
+        judged, pilot = self.judged()
         times, kept = self.times(len(pilot))
         finite = np.isfinite(pilot)
         if not (finite & kept).any():
@@ -123,7 +116,7 @@ class _TableAssembly:
         if main is not None and not np.isfinite(main).all():
             self.findings.append(f"{self.sources['main_position'].name}: has empty cells and was left out")
             main = None
-        signals = {attribute: self.signal(key, times, kept) for key, attribute in SIGNALS.items() if key != self.input}
+        signals = {own.name: self.signal(key, times, kept) for key, own in SIGNALS.items() if key != self.input}
         if judged != "position":
             use = np.zeros_like(use)
         drive, errors = self.drive(times, kept)
@@ -142,6 +135,18 @@ class _TableAssembly:
         trouble = find_problems(trace, self.sources[judged].name, self.sources[self.input].name)
         return replace(trace, findings=(*self.findings, *trouble))
 
+    def judged(self) -> tuple[str, Array]:
+        """What the valve is judged by, and its numbers.
+
+        A CSV of this package has an empty column where no position was measured: it is then the next.
+        """
+        recorded = [key for key in JUDGED if key in self.sources]
+        for key in recorded if self.map.path == str(self.path) else recorded[:1]:
+            values = self.column(key)
+            if np.isfinite(values).any():
+                return key, values
+        raise TraceError(f"{self.path}: {self.sources[recorded[0]].name}: no finite {recorded[0]}; name another column")
+
     @property
     def input(self) -> str:
         return "command" if "command" in self.sources else "voltage"
@@ -155,15 +160,14 @@ class _TableAssembly:
         """A quantity in SI, NaN where a cell is empty."""
         source = self.sources[quantity]
         self.check_column(quantity, source.column)
-        return source.to_si(self.table.column(source.column), QUANTITIES[quantity].dimension)
+        return source.to_si(self.table.column(source.column), CHANNELS[quantity].dimension)
 
     def check_column(self, key: str, column: str) -> None:
         """Refuse a column that the table does not have, with the map's key."""
-        names = self.table.names
-        if column not in names and not (column.isdigit() and 1 <= int(column) <= len(names)):
+        if not self.table.has(column):
             raise TraceError(
-                f"{self.map.path}: {key}: column {column} is not in {self.path}; it has {', '.join(names)}; "
-                "name one of these"
+                f"{self.map.path}: {key}: column {column} is not in {self.path}; it has "
+                f"{', '.join(self.table.names)}; name one of these"
             )
 
     def times(self, rows: int) -> tuple[Array, NDArray[np.bool_]]:

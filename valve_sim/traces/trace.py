@@ -7,6 +7,7 @@ from dataclasses import KW_ONLY, dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
+from valve_sim.files.channels import JUDGED, SIGNALS, Signal, Signals
 from valve_sim.signals.left_out import LeftOut, bridged, find_left_out, usual_travel
 from valve_sim.traces.measured_input import MeasuredInput, measured_input
 
@@ -17,23 +18,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from valve_sim.model import Drive
-
-
-class Signal(NamedTuple):
-    """A sampled quantity beside the positions.
-
-    Attributes:
-        times: Seconds since the trace's `epoch_ns`, ascending, shape (n,).
-        values: SI values (°C for a temperature), shape (n,).
-    """
-
-    times: NDArray[np.float64]
-    values: NDArray[np.float64]
-
-    def beside(self, times: NDArray[np.float64]) -> Signal:
-        """Return the same, with these very times where they are equal, so that they are held once."""
-        same = len(times) == len(self.times) and bool((times == self.times).all())
-        return Signal(times, self.values) if same else self
 
 
 class DriveErrors(NamedTuple):
@@ -49,8 +33,10 @@ class DriveErrors(NamedTuple):
 
 
 @dataclass(frozen=True, repr=False)
-class Trace:
+class Trace(Signals):
     """One valve in one recording; all times are seconds since `epoch_ns`.
+
+    Beside the positions it has the channels of `Signals`, such as `coil_current`, as far as they were recorded.
 
     Attributes:
         source: The file and the valve, for messages.
@@ -62,12 +48,6 @@ class Trace:
         bandwidth: Of the position sensor's low-pass of first order, Hz, as a map declares it; infinite: none.
         zero_error: Standard deviation of what the position sensor shows of a closed valve, m; 0 where that is 0.
         main_position: Main plunger, m, shape (n,); None where it was not recorded.
-        coil_current: Measured current, A.
-        coil_voltage: Measured at the coil's terminals, V: the input in place of the command, see `input`.
-        acceleration: Along the axis, m/s².
-        inlet_pressure, outlet_pressure: Before and behind a valve with gas, absolute, Pa.
-        demand_pressure: Behind the demand's orifice of such a valve, absolute, Pa; each holds until the next.
-        coil_temperature: °C.
         outlet_start: Behind a valve with gas when the trace begins, Pa; None: as the valve declares it.
         epoch_ns: The first stamp of commands or samples, ns, on the samples' clock.
         clock: "header" when samples are timed by their stamps, "bag" when by the time they were recorded; of a table
@@ -86,13 +66,6 @@ class Trace:
     averaging: int = 1
     bandwidth: float = math.inf
     zero_error: float = 0.0
-    coil_current: Signal | None = None
-    coil_voltage: Signal | None = None
-    acceleration: Signal | None = None
-    inlet_pressure: Signal | None = None
-    outlet_pressure: Signal | None = None
-    demand_pressure: Signal | None = None
-    coil_temperature: Signal | None = None
     outlet_start: float | None = None
     epoch_ns: int = 0
     clock: str = "header"
@@ -125,10 +98,11 @@ class Trace:
 
     @property
     def primary_signal(self) -> str:
-        """The signal by which a valve is judged: "position", else "current", else "outlet_pressure"."""
+        """The channel by which a valve is judged, the first that was recorded: position, current, outlet_pressure."""
         if self.has_positions:
-            return "position"
-        return "outlet_pressure" if self.coil_current is None else "current"
+            return JUDGED[0]
+        recorded = self.signals()
+        return next((key for key in JUDGED[1:] if SIGNALS[key].name in recorded), JUDGED[-1])
 
     @cached_property
     def left_out(self) -> LeftOut:
@@ -148,17 +122,17 @@ class Trace:
 
     @property
     def primary_samples(self) -> Signal:
-        """The signal by which a valve is judged; a position is `usable_position`."""
+        """The channel by which a valve is judged; a position is `usable_position`."""
         signal = self._other_signal
-        return Signal(self.times, self.usable_position) if self.has_positions or signal is None else signal
+        return Signal(self.times, self.usable_position) if signal is None else signal
 
     @property
     def sample_times(self) -> NDArray[np.float64]:
         """Its times, s."""
         signal = self._other_signal
-        return self.times if self.has_positions or signal is None else signal.times
+        return self.times if signal is None else signal.times
 
     @property
     def _other_signal(self) -> Signal | None:
-        """The signal by which a valve is judged without positions."""
-        return self.outlet_pressure if self.coil_current is None else self.coil_current
+        """The signal by which a valve is judged; None where it is the position, or none was recorded."""
+        return None if self.has_positions else self.signals().get(SIGNALS[self.primary_signal].name)

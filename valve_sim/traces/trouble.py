@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from valve_sim.files.channels import SIGNALS
 from valve_sim.model.core_types import Phase
 from valve_sim.model.drives import Drive
 from valve_sim.signals.left_out import words_of
@@ -63,6 +64,7 @@ def find_problems(trace: Trace, positions: str, voltage: str) -> list[str]:
         findings.append(f"{voltage} never leaves 0 V")
     is_beside = trace.drive.times[0] > times[-1] or trace.drive.times[-1] < 2 * times[0] - times[-1]
     beside = [f"{voltage}: no command falls into the time of the samples"] if is_beside else []
+    findings += _impossible(trace)
     if not trace.has_positions:
         return findings + beside
     reach = largest_size(trace.kept_position)
@@ -73,6 +75,23 @@ def find_problems(trace: Trace, positions: str, voltage: str) -> list[str]:
         findings.append(f"{positions}: no motion: {PILOT} stays within {travel * 1e6:.3g} µm")
         beside = []
     return findings + beside
+
+
+def _impossible(trace: Trace) -> list[str]:
+    """One sentence for each channel that usually reads what it cannot be, as a gauge pressure below 0 is."""
+    found, recorded = [], trace.signals()
+    for channel in SIGNALS.values():
+        signal, (least, most) = recorded.get(channel.name), channel.bounds
+        # A noisy sensor may read beyond its end at times: the usual reading, which costs a copy, is looked at then.
+        if signal is None or (least <= signal.values.min() and signal.values.max() <= most):
+            continue
+        usual = float(np.median(signal.values))
+        if not least <= usual <= most:
+            found.append(
+                f"{_where(trace, channel.key)}: the {channel.title} is usually {usual:.4g} {channel.unit}, expected "
+                f"{least:g} to {most:g}; correct unit: or offset: with --map"
+            )
+    return found
 
 
 def doubtful_units(trace: Trace, parameters: ValveParameters) -> tuple[str, ...]:

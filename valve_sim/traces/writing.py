@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 import os
 import shutil
 import sqlite3
@@ -11,14 +12,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, NoReturn
 
 import numpy as np
+from rosbags.interfaces import Nodetype
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 
+from valve_sim.files.channels import COIL, COIL_STATE, FLOAT, JOINT_STATE, MAIN, PILOT, SIGNALS
 from valve_sim.files.ledger import note_written
 from valve_sim.files.whole_files import atomic_write
 from valve_sim.traces.cdr import encode_messages, typestore
 from valve_sim.traces.clocks import SECOND
 from valve_sim.traces.errors import TraceError
-from valve_sim.traces.layout import CHANNELS, COIL, COIL_STATE, COMMAND, FLOAT, JOINT_STATE, MAIN, MEASURED, PILOT
+from valve_sim.traces.layout import COMMAND, MEASURED
 from valve_sim.traces.many_messages import ManyWriter
 
 if TYPE_CHECKING:
@@ -29,13 +32,14 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
     from rosbags.interfaces import Connection
 
-    from valve_sim.traces.trace import Signal, Trace
+    from valve_sim.traces.trace import Trace
 
     Storage = Literal["mcap", "sqlite3"]
 
 CSV_COLUMNS = ("time", "coil_voltage", "coil_current", "pilot_position", "main_position", "pilot_velocity", "phase")
-GAS_COLUMNS = ("outlet_pressure", "mass_flow")
-"""Of a valve with gas, after the others."""
+_UNKNOWN = ("temperature", "charge", "capacity", "design_capacity", "percentage")
+_NO_BATTERY = {**dict.fromkeys(_UNKNOWN, (math.nan,)), "present": (1.0,)}
+"""What a coil's message says of a battery, which there is not."""
 AT_ONCE = 2**15
 """Messages of the longest topic that are encoded together."""
 
@@ -245,7 +249,7 @@ class _Messages(NamedTuple):
     message_type: str
     times: NDArray[np.int64]
     columns: Mapping[str, Sequence[NDArray[np.float64]]]
-    constants: Mapping[str, NDArray[np.float64]] = {}
+    constants: Mapping[str, Sequence[float]] = {}
 
     def encoded(self, own: slice) -> list[bytes]:
         """Return some of them, serialized, with header stamps where the type has a header."""
@@ -282,17 +286,13 @@ def _measured_topics(
         voltage = trace.coil_voltage
         nothing = np.broadcast_to(np.nan, len(voltage.times))
         columns = {"voltage": [voltage.values], "current": [nothing if beside is None else beside]}
-        topics[COIL] = _Messages(COIL_STATE, _nanoseconds(trace, voltage.times), columns)
-    for name, channel in CHANNELS.items():
-        signal: Signal | None = getattr(trace, name)
-        if signal is not None and not (name == "coil_current" and beside is not None):
-            constants = {}
-            if channel.path == "linear_acceleration.x":
-                # -1 says that there is no orientation and no angular velocity (sensor_msgs/Imu).
-                unknown = np.array([-1.0, *np.zeros(8)])
-                constants = {"orientation_covariance": unknown, "angular_velocity_covariance": unknown}
-            times = _nanoseconds(trace, signal.times)
-            topics[channel.topic] = _Messages(channel.message_type, times, {channel.path: [signal.values]}, constants)
+        topics[COIL] = _Messages(COIL_STATE, _nanoseconds(trace, voltage.times), columns, _NO_BATTERY)
+    recorded = trace.signals()
+    for channel in SIGNALS.values():
+        place, signal = channel.own_topic, recorded.get(channel.name)
+        if place is not None and signal is not None and not (channel.key == "current" and beside is not None):
+            times, columns = _nanoseconds(trace, signal.times), {place.field: [signal.values]}
+            topics[place.topic] = _Messages(place.message_type, times, columns, place.constants)
     return topics
 
 
@@ -322,31 +322,27 @@ def _joint_states(
     return _Messages(JOINT_STATE, _nanoseconds(trace, trace.times), columns)
 
 
-def _blank(message_type: str) -> object:
-    """Return a message with zeros and, for a JointState, with this package's joints."""
-    types = typestore().types
-    header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](0, 0), "")
-    zeros = np.zeros(9)
-
-    def vector() -> Any:
-        return types["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
-
-    if message_type == FLOAT:
-        return types[FLOAT](0.0)
-    if message_type == COIL_STATE:
-        nothing, empty = float("nan"), np.zeros(0, np.float32)
-        measures = (nothing,) * 7  # voltage, temperature, current, and four of a battery
-        return types[COIL_STATE](header, *measures, 0, 0, 0, True, empty, empty, "", "")
+def _blank(message_type: str) -> Any:
+    """Return a message of zeros and, for a JointState, with this package's joints."""
+    store, values = typestore(), {}
+    detail: Any  # its shape depends on the kind, which the library types as a union
+    for name, (kind, detail) in store.fielddefs[message_type][1]:
+        if kind == Nodetype.NAME:
+            values[name] = _blank(detail)
+        elif kind == Nodetype.BASE:
+            values[name] = "" if detail[0] == "string" else 0
+        else:
+            (inner, what), length = detail
+            count = length if kind == Nodetype.ARRAY else 0
+            is_number = inner == Nodetype.BASE and what[0] != "string"
+            values[name] = np.zeros(count, what[0]) if is_number else []
     if message_type == JOINT_STATE:
-        return types[JOINT_STATE](header, [PILOT, MAIN], np.zeros(2), np.zeros(2), np.zeros(2))
-    if message_type == "sensor_msgs/msg/Imu":
-        level = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
-        return types[message_type](header, level, zeros, vector(), zeros, vector(), zeros)
-    return types[message_type](header, 0.0, 0.0)
+        values |= {"name": [PILOT, MAIN], **dict.fromkeys(("position", "velocity", "effort"), np.zeros(2))}
+    return store.types[message_type](**values)
 
 
 def write_csv(path: str | PathLike[str], columns: Mapping[str, ArrayLike]) -> None:
-    """Write a table in SI units with the columns of `CSV_COLUMNS` and, where given, `GAS_COLUMNS`, in that order.
+    """Write a table in SI units with the columns of `CSV_COLUMNS`, and then what else is given.
 
     Args:
         path: The file; one that exists is replaced.
@@ -356,17 +352,9 @@ def write_csv(path: str | PathLike[str], columns: Mapping[str, ArrayLike]) -> No
         TraceError: The place cannot be written to.
         KeyError: A column is missing.
     """
-    names = [*CSV_COLUMNS, *(name for name in GAS_COLUMNS if name in columns)]
+    names = [*CSV_COLUMNS, *(name for name in columns if name not in CSV_COLUMNS)]
     table = [np.asarray(columns[name]).tolist() for name in names]
     with atomic_write(Path(path), TraceError) as partial, partial.open("w", encoding="utf-8", newline="") as stream:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(names)
         writer.writerows(zip(*table, strict=True))
-
-
-def commanded_voltage(
-    trace_times: NDArray[np.float64], times: NDArray[np.float64], volts: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return the voltage held at each sample, V: commands of `volts` at `times` (ascending), 0 V before the first."""
-    place = np.searchsorted(times, trace_times, side="right")
-    return np.concatenate([[0.0], volts])[place]

@@ -191,12 +191,12 @@ def _read_mapped(path: Path, sources: Mapping[str, Source]) -> dict[str, Array]:
     """The columns that a map names, in SI, (n,) each."""
     table = open_table(path)
     found = {}
-    for name, quantity in FORCE_QUANTITIES.items():
+    for name, dimension in FORCE_QUANTITIES.items():
         column = table.column(sources[name].column)
         if not np.isfinite(column).all():
             place = table.place(int(np.argmin(np.isfinite(column))))
             raise TableError(f"{path}: {place}: {name}: holds no finite number; correct the row or take it out")
-        found[name] = sources[name].to_si(column, quantity.dimension)
+        found[name] = sources[name].to_si(column, dimension)
     return found
 
 

@@ -33,9 +33,6 @@ AT_REST: Final = 400
 SAME: Final = 0.05
 """Relative difference of times between commands up to which strokes are of one kind."""
 
-COMPARED: Final = ("coil_current", "acceleration", "outlet_pressure")
-"""Signals that a fit compares, beside the positions."""
-
 Kept = Callable[[Array], NDArray[np.bool_]]
 """(n,) times, s, to which of them are kept."""
 Kind = tuple[tuple[float, int], ...]
@@ -179,10 +176,9 @@ def _within(trace: Trace, is_kept: Kept) -> Trace:
     mask = is_kept(trace.times)
     main = trace.main_position
     signals: dict[str, Any] = {}
-    for name in COMPARED:
-        if (signal := getattr(trace, name)) is not None:
-            own = is_kept(signal.times)
-            signals[name] = Signal(signal.times[own], signal.values[own])
+    for name, signal in trace.signals("response").items():
+        own = is_kept(signal.times)
+        signals[name] = Signal(signal.times[own], signal.values[own])
     return replace(
         trace,
         times=trace.times[mask],
@@ -193,6 +189,5 @@ def _within(trace: Trace, is_kept: Kept) -> Trace:
 
 
 def _count(trace: Trace) -> int:
-    """Samples of all that a fit compares."""
-    signals = (getattr(trace, name) for name in COMPARED)
-    return len(trace.times) + sum(len(signal.times) for signal in signals if signal is not None)
+    """Samples of all that the valve does."""
+    return len(trace.times) + sum(len(signal.times) for signal in trace.signals("response").values())

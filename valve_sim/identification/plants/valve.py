@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from valve_sim.files.channels import SIGNALS
 from valve_sim.identification.plants.hold_out import Condition
 from valve_sim.identification.plants.protocol import (
     NO_CONTACTS,
@@ -59,7 +60,6 @@ from valve_sim.identification.plants.valve_sensors import (
 from valve_sim.model import CATALOGUE, Drive, Parameter, Tag, Valve
 from valve_sim.model.effects import FORCE_MAP_COEFFICIENTS, FORCE_MAP_VARIABLES, is_damping, is_periodic
 from valve_sim.traces import Signal, Trace
-from valve_sim.traces.layout import SIGNALS
 
 DAMPINGS: Final = ("pilot_damping", "main_damping")
 """Declared values that every fit frees, because they are not known beforehand; see `dampings_of`."""
@@ -224,7 +224,7 @@ class ValvePlant:
         drive = Drive.of([PULSE_START, PULSE_START + duration], [volts, 0.0])
         nothing = np.zeros_like(times)
         if not self.traces[0].has_positions:
-            seen = SIGNALS[self.traces[0].primary_signal]
+            seen = SIGNALS[self.traces[0].primary_signal].name
             blank = Trace("an experiment", drive, times[:0], times[:0])
             trace = replace(blank, **{seen: Signal(times, nothing)})  # type: ignore[arg-type] # by name
             plant = ValvePlant([trace], self.valve)

@@ -15,6 +15,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from valve_sim.files.channels import CHANNELS
 from valve_sim.files.whole_files import atomic_write
 from valve_sim.identification.estimation.static_force import StaticForce
 from valve_sim.identification.plants.protocol import Array
@@ -123,8 +124,7 @@ def plot_replay(path: Path | str, replay: Replay) -> None:
     times, measured = 1e3 * replay.measured.times, replay.measured.values
     above.plot(times, scale * measured, color=QUIET, linewidth=2.6, label="measured")
     above.plot(times, scale * replay.predicted, color=PILOT, linewidth=1.0, label="model")
-    words = {"position": "pilot plunger", "current": "coil current", "outlet_pressure": "outlet pressure"}
-    above.set_ylabel(f"{words[replay.trace.primary_signal]}, {unit}")
+    above.set_ylabel(f"{CHANNELS[replay.trace.primary_signal].title}, {unit}")
     above.legend(loc="upper right", frameon=False)
     below.plot(times, scale * (measured - replay.predicted), color=MAIN, linewidth=0.7)
     for sign in (-1.0, 1.0):
