@@ -16,8 +16,8 @@ import numpy as np
 
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.estimation.budget import Budget
-from valve_sim.identification.estimation.condensed import Condensed
 from valve_sim.identification.estimation.noise import Noise
+from valve_sim.identification.estimation.rows import CondensedRows
 from valve_sim.identification.plants.protocol import Direction
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import CATALOGUE, Drive, Stepper, Valve, ValveError, simulate, simulate_many
@@ -53,7 +53,7 @@ def _warm_fits(valve: Valve, drive: Drive) -> None:
         NO_NOISE.whiten_into(white, columns, np.ones(2))
     times = np.array([0.0, 1e-3, 2e-3])
     plant = ValvePlant([Trace("nothing", drive, times, np.zeros(3))], valve)
-    fewer = Condensed(plant, [np.ones(3)], [NO_NOISE], Budget.unlimited())
+    fewer = CondensedRows(plant, [np.ones(3)], [NO_NOISE], Budget.unlimited())
     fewer.residuals({})
     for count in (1, 4):
         fewer.sensitivities({}, count * [Direction({"main_damping": 1.0}, 1e-6)])

@@ -108,8 +108,8 @@ def test_few_rows_and_sums_say_what_every_sample_does(
     assert rows.constant + float(np.sum(np.square(rows.residuals(VALUES)))) == pytest.approx(chi2, abs=0.01)
     assert np.sum(rows.counts) == problem.samples
     directions = [Direction({name: 1.0}, 1e-7) for name in BOTH]
-    jacobian, _ = problem.sensitivities(VALUES, directions)
-    sums = problem.sums(VALUES, directions)
+    jacobian, _ = problem.every_row.sensitivities(VALUES, directions)
+    sums = problem.rows.sums(VALUES, directions)
     assert sums is not None
     assert sums.squares == pytest.approx(chi2, rel=1e-12)
     np.testing.assert_allclose(sums.gradient, jacobian.T @ residuals, rtol=1e-9)

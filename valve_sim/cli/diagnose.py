@@ -116,8 +116,7 @@ def diagnose(
 def _diagnose_events(events: Path, output: Path, as_json: bool) -> None:
     from valve_sim.identification.diagnosis.events import diagnose_events
     from valve_sim.identification.plants.event_table import read_event_table
-    from valve_sim.identification.reporting.event_files import write_event_report
-    from valve_sim.identification.reporting.event_report import event_json, event_text
+    from valve_sim.identification.reporting.event_report import event_json, event_text, write_event_report
 
     table = read_event_table(events)
     with progress_bar() as progress:

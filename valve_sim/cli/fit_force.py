@@ -61,7 +61,7 @@ def fit_force(
     from valve_sim.identification.estimation.static_force import fit_static_force
     from valve_sim.identification.reporting.figures import plot_static_force
     from valve_sim.identification.reporting.findings import remarks
-    from valve_sim.identification.reporting.static_force import static_force_json, static_force_text
+    from valve_sim.identification.reporting.identification import static_force_json, static_force_text
 
     map_file = chosen_map_file()
     sources = None if map_file is None else load_force_map(map_file)

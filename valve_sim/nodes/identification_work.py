@@ -365,8 +365,8 @@ def _diagnosed(
     trace: Trace, declared: Valve, settings: IdentificationSettings, folder: Path, progress: Progress
 ) -> Outcome:
     # Imported where it is needed: it takes half a second.
+    from valve_sim.identification.diagnosis.outcome import objection_to, what_is_left
     from valve_sim.identification.diagnosis.run import diagnose
-    from valve_sim.identification.diagnosis.trust import objection_to, what_is_left
     from valve_sim.identification.estimation.budget import Budget
     from valve_sim.identification.reporting.diagnosis_json import to_json
     from valve_sim.identification.reporting.recording_profile import write_record_next

@@ -12,8 +12,7 @@ from valve_sim.files.parameter_files import default_valve, load_valve
 from valve_sim.identification.diagnosis.events import PULLS, Quantity, diagnose_events
 from valve_sim.identification.plants.event_table import EventPlant, reached, read_event_table
 from valve_sim.identification.plants.valve import DAMPINGS
-from valve_sim.identification.reporting.event_files import write_event_report, write_valve
-from valve_sim.identification.reporting.event_report import event_json, event_text
+from valve_sim.identification.reporting.event_report import event_json, event_text, write_event_report, write_valve
 from valve_sim.model import Drive, ParameterError, simulate
 
 CONFIG = Path(__file__).parents[3] / "config"

@@ -120,7 +120,7 @@ def test_names_beside_a_remainder_are_what_is_written_and_the_remainder_is_besid
     assert_sound(found)
     assert not found.after.adequacy.is_white
     assert found.unexplained is not None
-    assert found.unexplained.force_rms < 2.0
+    assert np.sqrt(np.mean(np.square(found.unexplained.force))) < 2.0
     assert "What is left, no" in summarise(found)
     assert found.after.holdout_rmse < 0.5 * found.before.holdout_rmse
 

@@ -13,9 +13,9 @@ from plants.recording import Recorder
 from identification.plants.test_gas import trace_of
 from identification.recordings import FINE, recorded
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.estimation.condensed import Condensed
 from valve_sim.identification.estimation.descent import SolverOptions
 from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.estimation.rows import CondensedRows, Rows
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import strokes_of_plant
 from valve_sim.identification.plants.valve import ValvePlant
@@ -33,17 +33,17 @@ def problem(request: pytest.FixtureRequest) -> Problem:
     return problem_of(request.param)
 
 
-def chi2(rows: Problem | Condensed, values: Mapping[str, float]) -> float:
+def chi2(rows: Rows, values: Mapping[str, float]) -> float:
     return rows.constant + float(np.sum(np.square(rows.residuals(values))))
 
 
 def test_few_rows_have_the_criterion_of_all_samples(problem: Problem) -> None:
     rows = problem.condensed().rows
-    assert isinstance(rows, Condensed)
+    assert isinstance(rows, CondensedRows)
     assert np.sum(rows.counts) == pytest.approx(problem.samples, abs=1)
     assert len(rows.counts) < 0.5 * problem.samples
     for values in ({}, {"pilot_damping": 1.4, "main_damping": 3.2}, {"stroke_offset.offset": 2e-6}):
-        assert chi2(rows, values) == pytest.approx(chi2(problem, values), abs=0.01)
+        assert chi2(rows, values) == pytest.approx(chi2(problem.every_row, values), abs=0.01)
 
 
 def test_a_fit_to_few_rows_ends_where_one_to_all_samples_does(problem: Problem) -> None:
@@ -71,7 +71,7 @@ def test_what_settles_is_read_at_the_middle_of_short_blocks() -> None:
     """A slow sensor still moves where the plunger has come to rest: 800 Hz, 0.2 ms."""
     problem = problem_of(FINE)
     values = {"sensor_bandwidth.cutoff_frequency": 800.0}
-    assert chi2(problem.condensed().rows, values) == pytest.approx(chi2(problem, values), rel=1e-5)
+    assert chi2(problem.condensed().rows, values) == pytest.approx(chi2(problem.every_row, values), rel=1e-5)
 
 
 def test_a_plunger_that_creeps_is_read_at_more_samples() -> None:
@@ -93,7 +93,7 @@ def test_a_loss_that_counts_far_residuals_less_is_of_each_sample() -> None:
 def test_a_valve_with_gas_is_fitted_to_every_sample() -> None:
     valve = gas_valve()
     problem = Problem(ValvePlant([trace_of(valve)], valve)).condensed()
-    assert problem.rows is problem
+    assert problem.rows is problem.every_row
 
 
 def test_other_noise_is_that_of_the_rows_too() -> None:

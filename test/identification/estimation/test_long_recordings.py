@@ -69,8 +69,8 @@ def test_sums_are_the_products_of_residuals_and_derivatives(trace: Trace) -> Non
     noises = {kind: noise for kind, noise in COLOURED.items() if kind in kinds}
     problem = Problem(plant, lambda index, groups: groups != 1, noises)
     values = {"pilot_damping": 1.1, "main_damping": 3.9, "clock_offset[0]": 1e-5}
-    residuals, (jacobian, _) = problem.residuals(values), problem.sensitivities(values, DIRECTIONS)
-    sums = problem.sums(values, DIRECTIONS)
+    residuals, (jacobian, _) = problem.residuals(values), problem.rows.sensitivities(values, DIRECTIONS)
+    sums = problem.rows.sums(values, DIRECTIONS)
     assert sums is not None
     assert sums.squares == pytest.approx(float(residuals @ residuals), rel=1e-12)
     scale = np.sqrt(np.diag(jacobian.T @ jacobian))

@@ -27,7 +27,7 @@ from valve_sim.identification.plants.protocol import (
     to_internal,
 )
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.reporting.intervals import interval_json
+from valve_sim.identification.reporting.findings import interval_json
 from valve_sim.model import CATALOGUE, DECLARED, SimulationError, Tolerances, Valve, simulate
 from valve_sim.traces import Signal, Trace
 

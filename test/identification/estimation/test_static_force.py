@@ -12,7 +12,7 @@ from valve_sim.files.recording_map import MapError, load_force_map
 from valve_sim.files.tables import TableError
 from valve_sim.identification.estimation.static_force import BeginsLate, EndsEarly, StartOfMotion, fit_static_force
 from valve_sim.identification.reporting.findings import remarks
-from valve_sim.identification.reporting.static_force import static_force_json
+from valve_sim.identification.reporting.identification import static_force_json
 from valve_sim.model import Tolerances, ValveError, can_open
 
 TRUTH = np.array([3.0336, 17.096e3, -30.931e6, 24.026e9])

@@ -25,8 +25,7 @@ from valve_sim.identification.estimation.static_force import (
     StartOfMotion,
     StaticFinding,
 )
-from valve_sim.identification.reporting.findings import remark_on, remarks
-from valve_sim.identification.reporting.intervals import interval_json
+from valve_sim.identification.reporting.findings import interval_json, remark_on, remarks
 
 NEVER = Opening(9.0, math.nan, math.nan)
 HALF_WAY = Opening(9.0, 5.3e-3, math.nan)

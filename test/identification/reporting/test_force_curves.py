@@ -25,7 +25,7 @@ def entry(variable: str, low: float, high: float, force: np.ndarray) -> Unexplai
     """A curve through eight values, drawn as finely as a fit's."""
     at = np.linspace(low, high, POINTS)
     force = np.interp(at, np.linspace(low, high, KNOTS), force)
-    return Unexplained(6000.0, "everywhere", variable, tuple(at.tolist()), tuple(force.tolist()), 100.0)
+    return Unexplained(variable, tuple(at.tolist()), tuple(force.tolist()), 100.0)
 
 
 def test_a_knot_that_the_data_never_reached_counts_for_nothing() -> None:

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from identification.selection.linear_plant import LinearPlant
-from valve_sim.identification.estimation.condensed import RowPlaces
 from valve_sim.identification.estimation.linearised import Linearised, bounded_steps
 from valve_sim.identification.estimation.noise import Noise
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
+from valve_sim.identification.estimation.rows import RowPlaces
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Array, Channel, EffectChoice, Nuisance
 from valve_sim.identification.selection.discrepancy import (
@@ -93,7 +93,7 @@ CELLS = [Cell(0.1, 0), Cell(1.6, 1), Cell(51.2, 0)]
 
 @pytest.mark.parametrize("cell", CELLS)
 def test_whitening_is_the_root_of_the_inverse_covariance(cell: Cell) -> None:
-    places = problem().places
+    places = problem().rows.places
     found = Discrepancy(places, LENGTHS)
     dense = covariance(places, cell)
     root = found.whiten(np.eye(2 * SAMPLES), cell)
@@ -113,7 +113,7 @@ def in_closed_form(result: Fit, further: Array | None = None) -> tuple[float, Ar
         whole = dense + columns @ columns.T
         return -0.5 * float(data @ np.linalg.solve(whole, data)) - 0.5 * float(np.linalg.slogdet(whole)[1])
 
-    places = result.problem.places
+    places = result.problem.rows.places
     cells = [[of(covariance(places, Cell(size, at))) for at in range(len(LENGTHS))] for size in SIZES]
     return of(np.eye(2 * SAMPLES)), np.array(cells)
 
@@ -124,7 +124,7 @@ def test_the_evidence_is_that_of_the_whole_covariance(slow: float, *, is_wider: 
     result = fit(problem(slow=slow), (), {}, nuisances=[WIDE, NARROW])
     further = 0.7 * COLUMNS[:, 2:3] if is_wider else None
     plain, cells = in_closed_form(result, further)
-    found = Discrepancy(result.problem.places, LENGTHS)
+    found = Discrepancy(result.problem.rows.places, LENGTHS)
     model = Linearised(result, further)
     without, spread = model.log_evidence(model.sizes), found.spread(model)
     assert without == pytest.approx(plain, abs=1e-6)
@@ -142,13 +142,13 @@ def test_about_a_fit_that_has_the_discrepancy_in_its_whitening_it_is_the_same() 
     """Of a linear model it does not matter about which values it is linearised."""
     own = problem(slow=0.7)
     plain = fit(own, (), {}, nuisances=[WIDE, NARROW])
-    found = Discrepancy(own.places, LENGTHS)
+    found = Discrepancy(own.rows.places, LENGTHS)
     expected = found.spread(Linearised(plain))
     beside = fit(own.with_whitening(lambda rows: found.whiten(rows, expected.cell)), (), {}, nuisances=[WIDE, NARROW])
     assert abs(beside.values["narrow"] - plain.values["narrow"]) > 1e-3
     assert found.spread(Linearised(beside)).log_evidence == pytest.approx(expected.log_evidence, abs=1e-6)
     # Its criterion is that of the whitened residuals.
-    dense = covariance(own.places, expected.cell)
+    dense = covariance(own.rows.places, expected.cell)
     left = beside.residuals
     prior = sum((beside.values[one.name] / one.sigma) ** 2 for one in beside.nuisances)
     assert beside.chi2 == pytest.approx(float(left @ np.linalg.solve(dense, left)) + prior, rel=1e-9)
@@ -159,14 +159,17 @@ def test_noise_alone_speaks_against_a_discrepancy_and_a_slow_error_for_it() -> N
     for slow in (0.0, 0.7):
         result = fit(problem(slow=slow), (), {}, nuisances=[WIDE, NARROW])
         model = Linearised(result)
-        without, spread = model.log_evidence(model.sizes), Discrepancy(result.problem.places, LENGTHS).spread(model)
+        without, spread = (
+            model.log_evidence(model.sizes),
+            Discrepancy(result.problem.rows.places, LENGTHS).spread(model),
+        )
         odds.append(spread.log_evidence - without)
     assert odds[0] < -1.0
     assert odds[1] > 10.0
 
 
 def test_where_nothing_moves_there_is_no_discrepancy() -> None:
-    places = problem().places
+    places = problem().rows.places
     still = places._replace(moves=np.zeros_like(places.moves))
     found = Discrepancy(still, LENGTHS)
     assert found.blocks == 0
@@ -177,9 +180,9 @@ def test_where_nothing_moves_there_is_no_discrepancy() -> None:
 def test_lengths_are_shares_of_a_stroke_however_many_recordings_there_are() -> None:
     """Channels of another recording have other numbers."""
     own = problem()
-    alone = lengths_of(own.plant, own.places)
+    alone = lengths_of(own.plant, own.rows.places)
     assert alone == pytest.approx([share * 0.5 * 45 * STEP for share in SHARES])
-    places, others = own.places, own.places
+    places = others = own.rows.places
     several = places._replace(
         channel=np.concatenate([places.channel, *(others.channel + 2 * number for number in (1, 2, 3))]),
         stroke=np.concatenate([places.stroke, *(others.stroke + 2 * number for number in (1, 2, 3))]),
@@ -192,7 +195,7 @@ def test_the_size_that_is_found_is_that_which_acts() -> None:
     random = np.random.default_rng(2)
     own = problem()
     truth = Cell(3.2, 1)
-    factor = np.linalg.cholesky(covariance(own.places, truth))
+    factor = np.linalg.cholesky(covariance(own.rows.places, truth))
     sizes = []
     for _ in range(20):
         own.plant.channels = [
@@ -202,7 +205,7 @@ def test_the_size_that_is_found_is_that_which_acts() -> None:
             )
         ]
         result = fit(own, (), {}, nuisances=[WIDE, NARROW])
-        sizes.append(Discrepancy(own.places, LENGTHS).spread(Linearised(result)).size)
+        sizes.append(Discrepancy(own.rows.places, LENGTHS).spread(Linearised(result)).size)
     assert np.exp(np.mean(np.log(sizes))) == pytest.approx(truth.size, rel=0.2)
 
 

@@ -26,7 +26,7 @@ from valve_sim.identification.plants.valve import ValvePlant, dampings_of
 from valve_sim.identification.plants.valve_model import GAS_NAMES
 from valve_sim.identification.selection.discrepancy import Discrepancy, lengths_of
 from valve_sim.identification.selection.posterior import EVEN, Evidence, rivals_of
-from valve_sim.model import CATALOGUE, DECLARED, ParameterError, Valve
+from valve_sim.model import CATALOGUE, DECLARED, ParameterError, SimulationError, Valve
 from valve_sim.model.parameters import UNUSED_BY_ONE_PLUNGER, closest, unused_words
 from valve_sim.model.valve import OF_TWO_PLUNGERS
 from valve_sim.traces import Trace
@@ -194,10 +194,10 @@ def starts_of(traces: Sequence[Trace], valve: Valve, free: Sequence[str]) -> lis
     """
     few, choice = choose_strokes(traces)
     plant = ValvePlant(few, valve)
-    starts = [{name: _started(plant, name, factor) for name in free} for factor in STARTS]
+    starts = starts_about_declared(plant, free)
     if choice is None:
         return starts
-    found = _best_of_starts(Problem(plant).condensed(), free, plant.nuisances, starts, lambda fraction: None)
+    found = best_of_starts(Problem(plant).condensed(), free, plant.nuisances, starts)
     return [{name: found.values[name] for name in free}]
 
 
@@ -210,11 +210,11 @@ def best_fit(
     evidence is for them: some recorders stamp a command when they happen to receive it, up to a millisecond late.
     """
     plant = problem.plant
-    plain = _best_of_starts(problem, free, problem.nuisances, starts, progress)
+    plain = best_of_starts(problem, free, problem.nuisances, starts, progress)
     if not plant.timing_errors or not leaves_more_than_noise(plain):
         return plain
     nuisances = (*problem.nuisances, *plant.timing_errors)
-    timed = _best_of_starts(problem, free, nuisances, starts, lambda fraction: progress(1.0))
+    timed = best_of_starts(problem, free, nuisances, starts, lambda fraction: progress(1.0))
     return max(plain, timed, key=lambda found: found.log_evidence)
 
 
@@ -237,16 +237,31 @@ def lacking_by(plant: Plant, evidence: Evidence) -> float:
     return unnamed if unnamed > EVEN else 0.0
 
 
-def _best_of_starts(
+def starts_about_declared(plant: Plant, free: Sequence[str]) -> list[dict[str, float]]:
+    """The declared values of what is freed times each of `STARTS`; of effects, and of 0, such shares of a scale."""
+    return [{name: _started(plant, name, factor) for name in free} for factor in STARTS]
+
+
+def best_of_starts(
     problem: Problem,
     free: Sequence[str],
     nuisances: Sequence[Nuisance],
     starts: Sequence[Mapping[str, float]],
-    progress: Callable[[float], None],
+    progress: Callable[[float], None] = lambda fraction: None,
 ) -> Fit:
+    """The best of fits from several starts; what has no influence on the data stays as declared.
+
+    Raises:
+        SimulationError: the machine cannot be simulated from any of them.
+    """
     best: Fit | None = None
     for index, start in enumerate(starts):
-        found = fit(problem, free, start, nuisances=nuisances)
+        try:
+            found = fit(problem, free, start, nuisances=nuisances)
+        except SimulationError:
+            if best is None and index + 1 == len(starts):
+                raise
+            continue
         # A fit keeps a row of derivatives for each sample: the others' would be most of the memory of a long recording.
         best = found if best is None or found.chi2 < best.chi2 else best
         progress((index + 1) / len(starts))

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
+from valve_sim.identification.diagnosis.identify import Progress, best_of_starts, starts_about_declared
 from valve_sim.identification.estimation.descent import SolverOptions
 from valve_sim.identification.estimation.gram import gram, sum_squares
 from valve_sim.identification.estimation.intervals import Interval, profile_interval
@@ -23,14 +24,10 @@ from valve_sim.model.errors import ParameterError, SimulationError
 from valve_sim.model.parameters import closest
 from valve_sim.traces.columns import Columns
 
-STARTS: Final = (1.0, 4.0, 0.25)
-"""Factors on the declared values from which fits start."""
 DECISIVE: Final = 0.5
 """Of the squared error, below which another convention between samples is said to fit better."""
 TIMES_PREDICTED: Final = 3.0
 """Standard deviations that are predicted, within which a recording is by default."""
-
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
@@ -84,7 +81,7 @@ def identify_plant(
     check_plant(plant)
     say("fit", 0.0)
     problem = Problem(plant)
-    found = _best(problem, names)
+    found = best_of_starts(problem, names, plant.nuisances, starts_about_declared(plant, names))
     if any(noise.samples == 0 for noise in problem.noises.values()):
         problem = problem.with_noise_left_by(found.values)
         found = fit(problem, names, found.values, nuisances=plant.nuisances)
@@ -124,33 +121,6 @@ def _check_free(plant: OwnPlant, names: Sequence[str]) -> None:
             raise ParameterError(
                 f"{name}: cannot be freed, {plant.file.path} has no such name; did you mean {closest(name, known)}?"
             )
-
-
-def _best(problem: Problem, names: Sequence[str]) -> Fit:
-    """The best of fits from several starts."""
-    plant, best, last = problem.plant, None, None
-    for factor in STARTS:
-        start = {name: _started(plant, name, factor) for name in names}
-        try:
-            found = fit(problem, names, start, nuisances=plant.nuisances)
-        except SimulationError as error:
-            last = error
-            continue
-        best = found if best is None or found.chi2 < best.chi2 else best
-    if best is None:
-        assert last is not None
-        raise last
-    return best
-
-
-def _started(plant: object, name: str, factor: float) -> float:
-    assert isinstance(plant, OwnPlant)
-    parameter, declared = plant.parameter(name), plant.declared(name)
-    if "." in name and parameter.off is not None:
-        at = parameter.off + 0.1 * factor * parameter.prior_scale
-    else:
-        at = declared * factor if declared else parameter.prior_scale * (factor - 1.0)
-    return min(max(at, parameter.lower), parameter.upper)
 
 
 @dataclass(frozen=True)

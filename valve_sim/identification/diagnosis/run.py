@@ -303,8 +303,7 @@ class DiagnosisSession:
 
     def _share(self, result: Fit) -> float:
         """How much of the squared error of the declared model beyond noise a fit explains, from 0 to 1."""
-        noise = self._search.problem.noise.sigma**2
-        before, after = (max(rmse(one) ** 2 - noise, 0.0) for one in (self.declared, result))
+        before, after = self._left(self.declared), self._left(result)
         return min(1.0, max(0.0, 1.0 - after / before)) if before > 0.0 else 0.0
 
     def _left(self, result: Fit) -> float:

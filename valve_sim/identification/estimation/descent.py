@@ -1,4 +1,7 @@
-"""Bounded Gauss–Newton with Levenberg's damping: one minimisation of the sum of squares of whitened residuals."""
+"""Bounded Gauss–Newton with Levenberg's damping: one minimisation of the sum of squares of whitened residuals.
+
+Of a long recording residuals and derivatives are added up piece by piece, and never held.
+"""
 
 from __future__ import annotations
 
@@ -416,3 +419,48 @@ class Descent:
             held = held | beyond
         gain = -float(2.0 * gradient @ move + move @ information @ move)
         return move, max(gain, 0.0)
+
+
+class NotInPieces(Exception):  # noqa: N818 -- internal: the fit is made as that of a short recording
+    """A derivative is not known."""
+
+
+class DescentInSums(Descent):
+    """A `Descent` that sums over pieces of a recording; all its derivatives are those of the place.
+
+    In place of the residuals stands one number with their sum of squares, and in place of the derivatives nothing: they
+    are worked out where their products are asked for. Arguments as of `Descent`.
+    """
+
+    holds_rows = False
+
+    def begin(self, at: Array, begun: Fit | None) -> tuple[Array, Array]:
+        """As of `Descent`; nothing is taken over from a fit that is gone on with but where it is."""
+        return super().begin(at, None)
+
+    def residuals(self, at: Array) -> Array | None:
+        """(1,) the root of their sum of squares, or None where the model cannot be simulated."""
+        try:
+            sums = self.rows.sums(self.values(at), ())
+        except SimulationError:
+            return None
+        if sums is None:
+            raise NotInPieces
+        return np.array([math.sqrt(sums.squares)]) if math.isfinite(sums.squares) else None
+
+    def jacobian(self, at: Array, residuals: Array) -> Array:
+        """None yet."""
+        return np.empty((0, len(at)))
+
+    def normal(self, at: Array, residuals: Array, jacobian: Array) -> tuple[Array, Array]:
+        """Information matrix and half the gradient of the criterion, priors included but for that of a curve."""
+        directions = [self.direction(at, [index]) for index in range(len(at))]
+        if STANDING in directions:
+            raise NotInPieces
+        try:
+            sums = self.rows.sums(self.values(at), directions)
+        except SimulationError as error:
+            raise NotInPieces from error
+        if sums is None:
+            raise NotInPieces
+        return self.with_priors(at, sums.information, sums.gradient)

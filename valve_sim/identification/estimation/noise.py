@@ -84,13 +84,21 @@ class Noise:
 
     def whiten_into(self, found: Array, columns: Array, weight: Array) -> None:
         """Whiten every column, weighted: (n, k), (n,) → `found`, (n, k), at once, because they are large."""
+        at = np.arange(len(columns))
+        self.whiten_rows(found, columns, at, np.minimum(at, len(self.coefficients)), weight / self.innovation)
+
+    def whiten_rows(
+        self, found: Array, columns: Array, at: NDArray[np.intp], lags: NDArray[np.intp], scale: Array
+    ) -> None:
+        """Whiten rows of columns: (n, k) → `found`, (r, k).
+
+        Args:
+            found, columns: the former is written. at: (r,) which row of the columns each is of.
+            lags: (r,) over how many rows before it each is whitened; −1: over none. scale: (r,) factor of each.
+        """
         made, given = found if found.flags.c_contiguous else np.empty(found.shape), np.ascontiguousarray(columns)
-        coefficients = np.array(self.coefficients, dtype=np.float64)
-        scale = np.ascontiguousarray(weight / self.innovation)
-        _whiten()(
-            made.ctypes.data, given.ctypes.data, *given.shape, coefficients.ctypes.data, len(coefficients),
-            scale.ctypes.data,
-        )  # fmt: skip
+        numbers = [np.ascontiguousarray(own, dtype=np.float64) for own in (at, lags, scale, self.coefficients)]
+        _whiten()(made.ctypes.data, given.ctypes.data, *made.shape, *(own.ctypes.data for own in numbers))
         if made is not found:
             found[...] = made
 
@@ -101,16 +109,18 @@ class Noise:
 
 
 def whiten(
-    found: Block, columns: Block, rows: int, count: int, coefficients: Block, lags: int, scale: Block
+    found: Block, columns: Block, rows: int, count: int, at: Block, lags: Block, scale: Block, coefficients: Block
 ) -> None:  # fmt: skip
-    """Filter (rows, count) columns by an autoregression of so many coefficients, and scale rows."""
+    """Filter (rows, count) numbers, of rows of columns with as many, by an autoregression, and scale them."""
     for row in range(rows):
         out = found[row * count :]
-        own = columns[row * count :]
+        place = int(at[row])
+        own = columns[place * count :]
         for column in range(count):
             out[column] = own[column]
-        for lag in range(1, min(row, lags) + 1):
-            before = columns[(row - lag) * count :]
+        most = int(lags[row])
+        for lag in range(1, most + 1):
+            before = columns[(place - lag) * count :]
             coefficient = coefficients[lag - 1]
             for column in range(count):
                 out[column] -= coefficient * before[column]

@@ -6,15 +6,13 @@ import contextlib
 import copy
 import functools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.identification.estimation.budget import Budget
-from valve_sim.identification.estimation.column_groups import ColumnGroup, group_columns, reach_of
-from valve_sim.identification.estimation.condensed import Condensed, RowPlaces, places_of, whitened_sensitivities
 from valve_sim.identification.estimation.noise import (
     LARGEST_ORDER,
     SHORT_WINDOW,
@@ -27,19 +25,16 @@ from valve_sim.identification.estimation.noise import (
     stretches,
 )
 from valve_sim.identification.estimation.priors import Prior, prior_of
+from valve_sim.identification.estimation.rows import CondensedRows, Rows
 from valve_sim.identification.estimation.structured_noise import ErrorRows, StructuredNoise
-from valve_sim.identification.estimation.sums import Sums, Weighted, summed
-from valve_sim.identification.plants.check import checked_prediction
 from valve_sim.identification.plants.protocol import (
     Array,
-    Direction,
     HasSensors,
     InPieces,
     Nuisance,
     Plant,
     Thinnable,
     primary_channels,
-    strokes_of_plant,
 )
 from valve_sim.model import SimulationError
 
@@ -65,13 +60,9 @@ class Problem:
         budget: of the fits to it; default no limit.
 
     Attributes:
-        constant: added to the sum of squares of its residuals. counts: number of samples that each residual stands for.
         errors: of the recordings, with their sizes; None: there are none that have columns.
         whitening: of the rows that fits compare, beside that of noise and errors; None: nothing is whitened further.
     """
-
-    constant: Final = 0.0
-    counts: Final = 1.0
 
     def __init__(
         self,
@@ -84,8 +75,6 @@ class Problem:
         self._condenses = False
         self.errors: StructuredNoise | None = None
         self.whitening: Whitening | None = None
-        self._reaches: dict[Nuisance, NDArray[np.bool_]] = {}
-        self._groups: dict[tuple[Nuisance, ...], list[ColumnGroup]] = {}
         self.budget = budget or Budget.unlimited()
         self.noises = _noises(plant) if noises is None else dict(noises)
         self._weights = [self._weight(index, takes_part) for index in range(len(plant.channels))]
@@ -156,7 +145,7 @@ class Problem:
     def with_noises(self, noises: Mapping[str, Noise]) -> Problem:
         """This problem with other noise; data and samples are kept."""
         own = {kind: noises.get(kind, noise) for kind, noise in self.noises.items()}
-        return self._changed("error_rows", "_condensed_rows", "places", noises=own)
+        return self._changed("error_rows", "_condensed_rows", "every_row", noises=own)
 
     def condensed(self) -> Problem:
         """This problem for fits that sum up what is read while the machine is still."""
@@ -167,17 +156,34 @@ class Problem:
         return self._changed("error_rows", "_condensed_rows", _condenses=False)
 
     @property
-    def rows(self) -> Problem | Condensed:
-        """The problem that fits solve: this one, or an equivalent one with fewer rows."""
-        return self._condensed_rows or self
+    def rows(self) -> Rows:
+        """What fits compare: each sample, or the equivalent of all of them in fewer rows."""
+        return self._condensed_rows or self.every_row
 
     @functools.cached_property
-    def _condensed_rows(self) -> Condensed | None:
+    def every_row(self) -> Rows:
+        """Each sample by itself."""
+        return Rows(self.plant, self._weights, self._noise_of_each, self.budget)
+
+    @functools.cached_property
+    def _condensed_rows(self) -> CondensedRows | None:
         plant = self.plant
         if not self._condenses or self.is_long or not (isinstance(plant, Thinnable) and plant.can_be_thinned):
             return None
-        noises = [self.noise_of(index) for index in range(len(plant.channels))]
-        return Condensed(plant, self._weights, noises, self.budget)
+        return CondensedRows(plant, self._weights, self._noise_of_each, self.budget)
+
+    @property
+    def _noise_of_each(self) -> list[Noise]:
+        return [self.noise_of(index) for index in range(len(self.plant.channels))]
+
+    def residuals(self, values: Mapping[str, float]) -> Array:
+        """(n,) whitened, weighted residuals of each sample of all channels in a row (measured − predicted).
+
+        Raises:
+            SimulationError: the machine cannot be simulated with these values.
+            PlantError: its plant breaks down with them.
+        """
+        return self.every_row.residuals(values)
 
     def with_whitening(self, whitening: Whitening) -> Problem:
         """This problem for fits of rows that are whitened further, for what a model is known to lack."""
@@ -185,8 +191,9 @@ class Problem:
 
     def without_limit(self) -> Problem:
         """This problem without a limit of work."""
-        rows = self._condensed_rows
-        return self._changed(budget=Budget.unlimited(), _condensed_rows=None if rows is None else rows.without_limit())
+        condensed, every = self._condensed_rows, self.every_row.without_limit()
+        rows = None if condensed is None else condensed.without_limit()
+        return self._changed(budget=Budget.unlimited(), _condensed_rows=rows, every_row=every)
 
     @property
     def noise(self) -> Noise:
@@ -205,110 +212,10 @@ class Problem:
         """(n,) how much each sample of a channel counts; 0 where it takes no part."""
         return self._weights[index]
 
-    @functools.cached_property
-    def _simulated(self) -> int:
-        """Number of strokes in one simulation of the plant."""
-        return max(1, len(strokes_of_plant(self.plant)))
-
-    @functools.cached_property
-    def strokes(self) -> NDArray[np.int64]:
-        """(n,) for each of the residuals the number of its stroke, from 0 on; −1 where it takes no part."""
-        recordings = np.concatenate([np.full(len(own.data), own.recording) for own in self.plant.channels])
-        groups = np.concatenate([channel.group for channel in self.plant.channels])
-        used = np.concatenate(self._weights) > 0.0
-        number = np.full(len(used), -1)
-        if used.any():
-            keys = recordings[used] * (1 + int(groups.max())) + groups[used]
-            number[used] = np.unique(keys, return_inverse=True)[1]
-        return number
-
-    def reach(self, nuisance: Nuisance) -> NDArray[np.bool_]:
-        """(n,) which of the residuals a nuisance acts on."""
-        if nuisance not in self._reaches:
-            self._reaches[nuisance] = reach_of(nuisance, [channel.times for channel in self.plant.channels])
-        return self._reaches[nuisance]
-
-    def groups(self, nuisances: tuple[Nuisance, ...]) -> list[ColumnGroup]:
-        """Nuisances in groups, of which no two act on the same sample."""
-        if nuisances not in self._groups:
-            self._groups[nuisances] = group_columns([self.reach(nuisance) for nuisance in nuisances])
-        return self._groups[nuisances]
-
-    @functools.cached_property
-    def places(self) -> RowPlaces:
-        """Time and stroke of each residual, whether it is in motion, and its weight."""
-        parts = []
-        for index, channel in enumerate(self.plant.channels):
-            noise, weight = self.noise_of(index), self._weights[index]
-            steady = noise.sigma * (1.0 - math.fsum(noise.coefficients)) / noise.innovation
-            parts.append((channel.times, channel.group, ~channel.quiet & (weight > 0.0), weight * steady))
-        return places_of([channel.recording for channel in self.plant.channels], parts)
-
-    def residuals(self, values: Mapping[str, float]) -> Array:
-        """Whitened, weighted residuals of all channels in a row (measured − predicted).
-
-        Raises:
-            SimulationError: the machine cannot be simulated with these values.
-            PlantError: its plant breaks down with them.
-        """
-        self.budget.count(self._simulated)
-        shown = zip(self.plant.channels, checked_prediction(self.plant, values), strict=True)
-        return self._white([(channel.data - prediction)[:, None] for channel, prediction in shown], self._weights)[:, 0]
-
-    def sensitivities(
-        self, values: Mapping[str, float], directions: Sequence[Direction]
-    ) -> tuple[Array, NDArray[np.bool_]]:
-        """(n, k) derivatives of the residuals along directions, and (k,) where the plant knows them.
-
-        Raises:
-            SimulationError: the machine cannot be simulated with these values.
-        """
-        self.budget.count(self._simulated, len(directions))
-        weights = [-weight for weight in self._weights]
-        return whitened_sensitivities(self.plant, values, directions, lambda columns: self._white(columns, weights))
-
-    def whitened_columns(self, columns: Mapping[int, Array]) -> dict[int, tuple[slice, Array]]:
-        """The slice of rows of some channels, and (r, q) whitened, weighted columns of (n, q) each."""
-        found, start = {}, 0
-        for index, weight in enumerate(self._weights):
-            stop = start + len(weight)
-            if index in columns:
-                own = np.empty(columns[index].shape)
-                self.noise_of(index).whiten_into(own, columns[index], weight)
-                found[index] = slice(start, stop), own
-            start = stop
-        return found
-
-    def _white(self, columns: Sequence[Array], weights: Sequence[Array]) -> Array:
-        """(n, k) whitened, weighted columns of all channels, (n of the channel, k) each, in a row."""
-        found = np.empty((sum(map(len, columns)), columns[0].shape[1]))
-        start = 0
-        for index, (of_channel, weight) in enumerate(zip(columns, weights, strict=True)):
-            own = slice(start, start + len(of_channel))
-            self.noise_of(index).whiten_into(found[own], of_channel, weight)
-            start = own.stop
-        return found
-
     @property
     def is_long(self) -> bool:
         """Whether a fit only adds its residuals up."""
         return _is_long(self.plant)
-
-    def sums(self, values: Mapping[str, float], directions: Sequence[Direction]) -> Sums | None:
-        """Sums over the residuals and their derivatives along directions; None where these are not known.
-
-        Raises:
-            SimulationError: the machine cannot be simulated with these values.
-        """
-        self.budget.count(self._simulated, len(directions))
-        pieces = self.plant.pieces(values, directions) if isinstance(self.plant, InPieces) else None
-        if pieces is None:
-            return None
-        channels = [
-            Weighted(channel, self.noise_of(index), self._weights[index])
-            for index, channel in enumerate(self.plant.channels)
-        ]
-        return summed(pieces, channels, len(directions))
 
     def _weight(self, index: int, takes_part: Mask | None) -> Array:
         channel = self.plant.channels[index]

@@ -166,7 +166,7 @@ class Fit:
         if errors is None:
             return left
         shown = shown_by(errors, self.recording)
-        rows = self.problem.with_every_row().whitened_columns({at: own[:, None] for at, own in shown.items()})
+        rows = self.problem.every_row.whitened_columns({at: own[:, None] for at, own in shown.items()})
         found = left.copy()
         for where, own in rows.values():
             found[where] -= own[:, 0]

@@ -9,8 +9,14 @@ from typing import Final
 
 import numpy as np
 
-from valve_sim.identification.estimation.descent import WHOLE, Descent, End, SolverOptions
-from valve_sim.identification.estimation.descent_in_sums import DescentInSums, NotInPieces
+from valve_sim.identification.estimation.descent import (
+    WHOLE,
+    Descent,
+    DescentInSums,
+    End,
+    NotInPieces,
+    SolverOptions,
+)
 from valve_sim.identification.estimation.gram import sum_squares
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit, MachineKnowledge, Rows
@@ -23,6 +29,10 @@ from 30 σ or more ended with declared values at their bounds; from below 10 σ 
 FAR_WITH_GAS: Final = 10.0
 """χ² of a sample, 3 σ, beyond which dampings are held as well: a recording that lacks nothing began at 5.6 σ, and with
 dampings free its fit ended 240 in χ² above where it ends if they are held first."""
+
+MOST_NUISANCES: Final = 64
+"""Nuisances of a fit in sums: beyond, as with an error of each command's stamp, most derivatives are 0, and are better
+held in columns."""
 
 _OfFit = tuple[tuple[str, ...], tuple[Nuisance, ...], dict[str, float], "MachineKnowledge | Smoothness | None"]
 
@@ -69,10 +79,10 @@ def _rows(
     known: tuple[Array | None, Array | None],
 ) -> tuple[Rows, Rows]:  # fmt: skip
     """Residuals and derivatives at an end, of each sample and of the rows that were fitted."""
-    has_fewer = not isinstance(problem_rows := fitted.rows, Problem)
+    has_fewer = fitted.rows is not fitted.every_row
     left = Rows(
         functools.partial(whole.residuals, values),
-        functools.partial(problem_rows.residuals, values) if has_fewer else None,
+        functools.partial(fitted.rows.residuals, values) if has_fewer else None,
         known[0],
     )
     derivatives = Rows(
@@ -87,7 +97,7 @@ def _descended(
     problem: Problem, of_fit: _OfFit, start: Mapping[str, float] | Fit, effort: SolverOptions
 ) -> tuple[Descent, End]:
     """The search and where it ended; of many residuals without holding them, where that can be."""
-    if problem.is_long:
+    if problem.is_long and len(of_fit[1]) <= MOST_NUISANCES:
         with contextlib.suppress(NotInPieces):
             return _from_start(DescentInSums, problem, of_fit, start, effort)
     return _from_start(Descent, problem, of_fit, start, effort)

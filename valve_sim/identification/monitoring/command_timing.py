@@ -4,14 +4,23 @@ A command on a topic has no stamp: it is timed when it arrives here, and the val
 a busy machine the two differ by milliseconds, from stroke to stroke. Two things show by how much: the jitter with which
 stamped samples arrive, and how the start of a stroke scatters about its command. A fault that delays every stroke alike
 changes the mean of the latter and not its scatter, so this hides no such fault.
+
+Samples of the coil carry stamps: where the voltage is heard beside the positions, it says when the valve received each
+command, and nothing is left of the scatter with which messages come in on a busy machine.
 """
 
 from __future__ import annotations
 
 import math
+import statistics
 from collections import deque
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Final, NamedTuple
+
+from valve_sim.model import Drive
+from valve_sim.traces import Signal, Trace
+from valve_sim.traces.command_dates import dates_by_voltage, within_steps
 
 ARRIVAL_WINDOW: Final = 10
 """s over which the jitter of arrivals is taken."""
@@ -166,3 +175,42 @@ def scatter_levels(jitter: float, opening_seconds: float) -> tuple[float, ...]:
 def level_for(sigma: float, levels: Sequence[float]) -> float:
     """The smallest level that is no less than this standard deviation, s; the last where none is."""
     return next((level for level in levels if level >= sigma * (1.0 - 1e-9)), levels[-1])
+
+
+class HeardCommands:
+    """Dates the commands of each stroke, and remembers by how much they came in later than they took effect."""
+
+    def __init__(self) -> None:
+        self._late: deque[float] = deque(maxlen=2 * RECENT)
+        self._spread = ArrivalSpread()
+
+    @property
+    def lateness(self) -> float:
+        """s, the median of the last commands; 0 where no voltage was heard."""
+        return statistics.median(self._late) if self._late else 0.0
+
+    @property
+    def spread(self) -> float:
+        """Seconds between the smallest and the largest of late."""
+        return self._spread.spread
+
+    def dated(self, trace: Trace, voltage: Signal | None) -> Trace:
+        """A stroke with its commands when they took effect; itself where the voltage does not show them.
+
+        Args:
+            trace: of a stroke. voltage: at the coil's terminals, V, by the stroke's times, s.
+        """
+        if voltage is None:
+            return trace
+        heard = trace.drive
+        if not trace.has_positions:
+            dates = dates_by_voltage(heard.times, heard.volts, voltage, has_stamps=False)
+            return trace if dates is None else replace(trace, drive=Drive(dates.times, dates.volts))
+        times = within_steps(heard.times, heard.volts, voltage)
+        if times is None:
+            return trace
+        start = trace.epoch_ns / 1e9
+        for date, late in zip(times.tolist(), (heard.times - times).tolist(), strict=True):
+            self._late.append(late)
+            self._spread.add(start + date, late)
+        return replace(trace, drive=Drive(times, heard.volts))

@@ -18,7 +18,7 @@ from valve_sim.identification.diagnosis.run import Verdict, begin
 from valve_sim.identification.estimation.errors.hum import HUM
 from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.identification.estimation.problem import shows_rest
-from valve_sim.identification.monitoring.joined_signals import joined, with_joined_ends
+from valve_sim.identification.monitoring.kept_samples import joined, with_joined_ends
 from valve_sim.identification.monitoring.lift_times import starts_by_lift
 from valve_sim.identification.monitoring.scores import FINEST, Baseline
 from valve_sim.identification.plants.commissioned import CommissionedPlant

@@ -15,6 +15,7 @@ that effect (the matched filter; Kay, Fundamentals of Statistical Signal Process
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -23,8 +24,8 @@ from typing import Final
 
 import numpy as np
 
-from valve_sim.identification.estimation.gram import gram
 from valve_sim.identification.estimation.intervals import Interval, covariance_interval
+from valve_sim.identification.estimation.linearised import OrthogonalProjector
 from valve_sim.identification.estimation.noise import Noise
 from valve_sim.identification.estimation.problem import Problem, shows_rest
 from valve_sim.identification.estimation.recorded_errors import expected_sizes
@@ -42,8 +43,8 @@ from valve_sim.identification.plants.valve import DAMPINGS, ValvePlant, dampings
 from valve_sim.identification.plants.valve_sensors import as_it_began
 from valve_sim.identification.plants.variation import VARIATION
 from valve_sim.identification.selection.residual_tests import moving_residuals
+from valve_sim.identification.selection.score_test import moves_of
 from valve_sim.model import EXACT, SimulationError, Valve, simulate
-from valve_sim.model.parameters import Parameter
 from valve_sim.traces import Trace
 
 SIZE: Final = "size"
@@ -158,22 +159,14 @@ def score_at_levels(trace: Trace, baseline: Baseline, levels: Sequence[float]) -
 
 def _scored(stroke: _Stroke, result: Fit, directions: Iterable[tuple[str, Array]]) -> Scored:
     """The scores of a stroke whose stamps' errors were estimated, along what effects change."""
-    rows = stroke.problem.without_errors(np.column_stack([result.jacobian, result.residuals]))
-    jacobian, residuals = rows[:, :-1], rows[:, -1]
-    prior = np.array([1.0 / nuisance.sigma**2 for nuisance in result.nuisances])
-    # One more step in the linear model that the scores use: they must not depend on where the fit stopped.
-    scale = np.sqrt(np.sum(np.square(jacobian), axis=0) + prior)
-    inverse = np.linalg.inv((gram(jacobian, jacobian) + np.diag(prior)) / np.outer(scale, scale)) / np.outer(
-        scale, scale
-    )
-    left = residuals - jacobian @ (inverse @ (gram(jacobian, residuals) + prior * result.coordinates))
-    scores = {SIZE: _size(stroke.problem, left)}
-    for name, change in itertools.chain(directions, stroke.delay_directions(jacobian)):
-        seen = change @ jacobian
-        power = float(change @ change - seen @ inverse @ seen)
+    # To first order about the fit: scores must not depend on where it stopped.
+    outside = OrthogonalProjector(result)
+    scores = {SIZE: _size(stroke.problem, outside.residuals)}
+    for name, change in itertools.chain(directions, stroke.delay_directions(result)):
+        power, seen = outside.along(change)
         if power > LEAST_SENSITIVITY**2:
             # The fit's residual is measured less predicted, and so is the change of it that an effect makes.
-            scores[name] = -float(change @ left) / math.sqrt(power)
+            scores[name] = -seen / math.sqrt(power)
     return Scored(scores, stroke.shifts(result), stroke.rms(result))
 
 
@@ -325,26 +318,24 @@ class _Stroke:
         return min((result, again), key=lambda found: found.chi2)
 
     def effect_directions(self, result: Fit) -> Iterator[tuple[str, Array]]:
-        """Names, and the change of the whitened residual by a small effect of each: dampings and the catalogue."""
+        """Names, and the change of the residuals by a small effect of each: dampings and the catalogue."""
         plant = self._plant
         for name in plant.base:
-            yield from self._direction(result, name, {name: perturbed(plant.parameter(name), plant.declared(name))})
+            values = {**result.values, name: perturbed(plant.parameter(name), plant.declared(name))}
+            with contextlib.suppress(SimulationError):
+                yield name, self.problem.residuals(values) - result.residuals
         for effect in plant.effects.values():
-            for switch in effect.parameters:
-                if switch.off is not None:
-                    values = {effect.free_name(p): _with_switch(p, switch) for p in effect.parameters}
-                    single = sum(p.off is not None for p in effect.parameters) == 1
-                    yield from self._direction(
-                        result, effect.name if single else f"{effect.name}.{switch.name}", values
-                    )
+            is_single = sum(own.off is not None for own in effect.parameters) == 1
+            for move in next(moves_of(result, effect), []):
+                yield effect.name if is_single else f"{effect.name}.{move.switch.name}", move.change
 
-    def delay_directions(self, jacobian: Array) -> Iterator[tuple[str, Array]]:
-        """What errors of the first and the last stamp change, where these are scored; jacobian: whitened."""
+    def delay_directions(self, result: Fit) -> Iterator[tuple[str, Array]]:
+        """What errors of the first and the last stamp change, where these are scored."""
         if self._jitter >= UNINFORMATIVE:
             return
         last = len(self._shifts()) - 1
         for place in sorted({0, last}):
-            yield DELAYS[min(place, 1)], jacobian[:, place] * self._jitter
+            yield DELAYS[min(place, 1)], result.jacobian[:, place] * self._jitter
 
     def shifts(self, result: Fit) -> Array:
         """(commands,) s, errors of the stamps."""
@@ -356,24 +347,10 @@ class _Stroke:
         channel = self._plant.channels[0]
         return root_mean_square(channel.kept(channel.data - shown))
 
-    def _direction(self, result: Fit, name: str, values: Mapping[str, float]) -> Iterator[tuple[str, Array]]:
-        try:
-            changed = self.problem.residuals({**result.values, **values})
-        except SimulationError:
-            return
-        yield name, self.problem.without_errors((changed - result.residuals)[:, None])[:, 0]
-
     def _shifts(self) -> list[Nuisance]:
         errors = list(self._plant.timing_errors)
         chosen = errors if len(errors) <= MOST_SHIFTS else [errors[0], errors[-1]]
         return [nuisance._replace(sigma=self._jitter) for nuisance in chosen]
-
-
-def _with_switch(parameter: Parameter, switch: Parameter) -> float:
-    """The value of an effect's parameter where only this switch differs from neutral, by a little."""
-    if parameter.off is None:
-        return parameter.prior_scale
-    return perturbed(parameter, parameter.off) if parameter is switch else parameter.off
 
 
 def _size(problem: Problem, left: Array) -> float:

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from valve_sim.identification.monitoring.command_timing import EXTREME_SIGMAS, ArrivalSpread
+from valve_sim.identification.monitoring.command_timing import EXTREME_SIGMAS, ArrivalSpread, HeardCommands
 from valve_sim.identification.monitoring.findings import (
     DidNotClose,
     Fault,
@@ -22,7 +22,6 @@ from valve_sim.identification.monitoring.findings import (
     TimingTooUncertain,
     Unusable,
 )
-from valve_sim.identification.monitoring.heard_commands import HeardCommands
 from valve_sim.identification.monitoring.held_valve import opening_fault
 from valve_sim.identification.monitoring.kept_samples import MOST_SAMPLES, KeptSamples, MeasuredMotion, StrokeInProgress
 from valve_sim.identification.monitoring.line_pressure import LinePressure, unknown_pressure

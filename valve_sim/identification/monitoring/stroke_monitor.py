@@ -39,7 +39,7 @@ from valve_sim.identification.monitoring.findings import (
     WaitsForPressure,
 )
 from valve_sim.identification.monitoring.held_valve import held_fault
-from valve_sim.identification.monitoring.joined_signals import with_joined_ends
+from valve_sim.identification.monitoring.kept_samples import with_joined_ends
 from valve_sim.identification.monitoring.scores import (
     DELAYS,
     SIZE,

@@ -13,10 +13,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from valve_sim.identification.plants.advice import Advice
 from valve_sim.identification.plants.covariance_root import covariance_root
 from valve_sim.identification.plants.hold_out import Condition
 from valve_sim.identification.plants.protocol import (
+    Advice,
     Array,
     Channel,
     Direction,

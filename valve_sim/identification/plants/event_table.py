@@ -23,12 +23,11 @@ import numpy as np
 import yaml
 
 from valve_sim.files.parameter_files import load_valve
-from valve_sim.identification.plants.protocol import Array, Channel, EffectChoice, Plant
+from valve_sim.identification.plants.protocol import Array, Channel, Experiment, ForceMap, Nuisance
 from valve_sim.identification.plants.valve_model import ValveModel
 from valve_sim.model import (
     CATALOGUE,
     Drive,
-    Parameter,
     ParameterError,
     Response,
     SimulationError,
@@ -140,7 +139,7 @@ def reached(response: Response, displacement: float) -> float:
     return float(times[index - 1] + share * span)
 
 
-class EventPlant(Plant):
+class EventPlant(ValveModel):
     """The valve behind an event table; it has no clock offset, because a table's times count from the voltage.
 
     Declared values are taken as exact, nothing is refitted beside the effect in question, and no curve stands for what
@@ -150,9 +149,14 @@ class EventPlant(Plant):
         table: the measurement; its declared valve is what effects are added to.
     """
 
+    base: Sequence[str] = ()
+    timing_errors: Sequence[Nuisance] = ()
+    force_maps: Sequence[ForceMap] = ()
+    experiments: Sequence[Experiment] = ()
+
     def __init__(self, table: EventTable) -> None:
+        super().__init__(table.valve.exact())
         self.table = table
-        self._model = ValveModel(table.valve.exact())
         self._grid = np.arange(0.0, table.horizon, GRID)
         # Each event is a channel of a kind of its own, because each has a standard error of its own.
         self._channels = [
@@ -167,27 +171,6 @@ class EventPlant(Plant):
     def channels(self) -> Sequence[Channel]:
         """One for each event."""
         return self._channels
-
-    @property
-    def effects(self) -> Mapping[str, EffectChoice]:
-        """The catalogue, less the effects that the declared valve has on."""
-        return self._model.effects
-
-    def parameter(self, name: str) -> Parameter:
-        """Unit and range of a declared parameter or of `<effect>.<parameter>`.
-
-        Raises:
-            KeyError: there is none.
-        """
-        return self._model.parameter(name)
-
-    def declared(self, name: str) -> float:
-        """The declared value, or the one at which an effect changes nothing."""
-        return self._model.declared(name)
-
-    def with_values(self, values: Mapping[str, float]) -> Valve:
-        """The valve that freed values describe."""
-        return self._model.with_values(values)
 
     def response(self, values: Mapping[str, float]) -> Response:
         """The opening that these values give.

@@ -18,15 +18,14 @@ from numpy.typing import NDArray
 
 from valve_sim.files.plant_files import InputEntry, OutputEntry, PlantFile, PlantFileError
 from valve_sim.files.recording_map import MapError
-from valve_sim.identification.plants.advice import Advice
 from valve_sim.identification.plants.protocol import (
+    Advice,
     Array,
     Channel,
     Direction,
     EffectChoice,
-    Experiment,
-    ForceMap,
     Nuisance,
+    Plant,
     Sensitivities,
 )
 from valve_sim.model.core.own.grammar import Expr, names_in, walk
@@ -77,8 +76,11 @@ class Run:
     rows: Mapping[str, NDArray[np.int64]]
 
 
-class OwnPlant:
+class OwnPlant(Plant):
     """A machine of a user's own with its recordings.
+
+    All columns of a recording share a clock: it has no errors of stamps. Which inputs the machine may be given is not
+    known: it has no experiments.
 
     Args:
         file: its equations. recordings: what was measured, one `Columns` for each.
@@ -131,24 +133,9 @@ class OwnPlant:
         return self._nuisances
 
     @property
-    def timing_errors(self) -> Sequence[Nuisance]:
-        """None: all columns of a recording share a clock."""
-        return ()
-
-    @property
     def effects(self) -> Mapping[str, EffectChoice]:
         """Those of the file, and declared values that may be wrong."""
         return self._choices
-
-    @property
-    def force_maps(self) -> Sequence[ForceMap]:
-        """None."""
-        return ()
-
-    @property
-    def experiments(self) -> Sequence[Experiment]:
-        """None: which inputs the machine may be given is not known here."""
-        return ()
 
     @property
     def advice(self) -> Advice:

@@ -1,7 +1,7 @@
 """What identification sees of a machine: named parameters, effects that may be on, and what sensors would show.
 
-The valve is one plant (`valve`), a servo axis another (`axis`), a user's actuator a third. Fits and
-diagnoses know only this protocol.
+The valve is one plant (`valve`), a machine of a user's equations another (`own`). Fits and diagnoses know only this
+protocol.
 """
 
 from __future__ import annotations
@@ -26,6 +26,19 @@ LARGEST_EXPONENT: Final = 709.0
 """e to this is still a double."""
 FARTHEST: Final = 20.0
 """Standard deviations of its prior within which a nuisance is searched."""
+READABLE_UNITS: Final = {"m": (1e6, "µm"), "A": (1e3, "mA"), "Pa": (1e-3, "kPa")}
+"""SI unit to factor and name of the display unit."""
+KEY_OF_UNIT: Final = {"µm": "um", "mA": "ma", "kPa": "kpa"}
+"""Display unit to what a name in JSON ends with: rmse_um."""
+Role = Literal["response", "actuation"]
+"""What a channel shows: the machine's response, by which models are judged, or the actuator that drives it.
+
+An actuator's form may be one that no effect explains, so it is believed only as far as effects explain it.
+"""
+SENSOR_ERRORS: Final = ("zero", "drift", "hum", "scale", "bend", "ringing", "ringing_scatter")
+"""Names of the errors that add something to what a sensor shows, by which `Sensor.shares` has them."""
+MACHINE_ERRORS: Final = ("supply", "stroke_variation")
+"""Names of the errors that act on the machine, which `HasSensors.varying` may be parts of."""
 
 
 class Nuisance(NamedTuple):
@@ -142,18 +155,6 @@ class ForceMap:
     def with_period(self, period: float) -> ForceMap:
         """This map over one period, of a curve that repeats itself."""
         return replace(self, high=self.low + period, fixed={**self.fixed, self.end: self.low + period})
-
-
-READABLE_UNITS: Final = {"m": (1e6, "µm"), "A": (1e3, "mA"), "Pa": (1e-3, "kPa")}
-"""SI unit to factor and name of the display unit."""
-KEY_OF_UNIT: Final = {"µm": "um", "mA": "ma", "kPa": "kpa"}
-"""Display unit to what a name in JSON ends with: rmse_um."""
-
-Role = Literal["response", "actuation"]
-"""What a channel shows: the machine's response, by which models are judged, or the actuator that drives it.
-
-An actuator's form may be one that no effect explains, so it is believed only as far as effects explain it.
-"""
 
 
 @dataclass(frozen=True)
@@ -381,10 +382,6 @@ class Contacts(NamedTuple):
 
 NO_CONTACTS: Final = Contacts(np.empty(0), np.empty(0), np.empty(0, dtype=np.int64))
 """Of a sensor that nothing shakes."""
-SENSOR_ERRORS: Final = ("zero", "drift", "hum", "scale", "bend", "ringing", "ringing_scatter")
-"""Names of the errors that add something to what a sensor shows, by which `Sensor.shares` has them."""
-MACHINE_ERRORS: Final = ("supply", "stroke_variation")
-"""Names of the errors that act on the machine, which `HasSensors.varying` may be parts of."""
 
 
 class Sensor(NamedTuple):
@@ -543,3 +540,28 @@ def is_two_sided(parameter: Parameter) -> bool:
     """Whether a parameter may lie on either side of where it changes nothing."""
     lower, upper = internal_bounds(parameter)
     return parameter.off is not None and lower < to_internal(parameter, parameter.off) < upper
+
+
+class Advice(NamedTuple):
+    """What a plant's owner should record next, in whole sentences without the full stop.
+
+    Attributes:
+        ambiguous: why one stroke cannot tell effects apart. first: after a single stroke. more: after several.
+    """
+
+    ambiguous: str
+    first: str
+    more: str
+
+
+GENERIC_ADVICE: Final = Advice(
+    "one stroke cannot tell an effect from what is refitted anyway",
+    "Record next: at least eight strokes under different conditions, in one recording",
+    "Record next: strokes under conditions not used yet",
+)
+
+
+def advice_of(plant: Plant) -> Advice:
+    """The plant's own `advice`, an optional member, or general advice for any machine."""
+    found = getattr(plant, "advice", GENERIC_ADVICE)
+    return found if isinstance(found, Advice) else GENERIC_ADVICE

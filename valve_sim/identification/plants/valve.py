@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import functools
 import itertools
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Final
@@ -13,12 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.files.channels import SIGNALS
-from valve_sim.identification.plants.advice import Advice
-from valve_sim.identification.plants.force_map_choice import force_map_over
 from valve_sim.identification.plants.hold_out import Condition
-from valve_sim.identification.plants.interval_factors import IntervalFactors, supply_errors, variations
 from valve_sim.identification.plants.protocol import (
     NO_CONTACTS,
+    Advice,
     Array,
     Channel,
     Direction,
@@ -31,12 +30,15 @@ from valve_sim.identification.plants.protocol import (
     Sensor,
 )
 from valve_sim.identification.plants.recording_errors import (
+    IntervalFactors,
     clock_offset,
     clock_rate,
     drive_with,
     lateness_with,
     reading_errors,
     stamp_errors,
+    supply_errors,
+    variations,
     zero_with,
 )
 from valve_sim.identification.plants.stroke_choice import Kind, stroke_kinds
@@ -56,7 +58,7 @@ from valve_sim.identification.plants.valve_sensors import (
     without_pressure,
 )
 from valve_sim.model import CATALOGUE, Drive, Parameter, Tag, Valve
-from valve_sim.model.effects import FORCE_MAP_VARIABLES
+from valve_sim.model.effects import FORCE_MAP_COEFFICIENTS, FORCE_MAP_VARIABLES, is_damping, is_periodic
 from valve_sim.traces import Signal, Trace
 
 DAMPINGS: Final = ("pilot_damping", "main_damping")
@@ -76,6 +78,9 @@ SHORTEST_SPAN: Final = 1e-6
 GAS_STEP: Final = 2e-5
 """Prior scales. Along the usual step the pressures come to be equal so much later that it is more than the main plunger
 takes to open: a clogged orifice was given a twentieth of its standard error."""
+IN_A_PERIOD: Final = 12
+"""Coefficients of a curve that repeats itself."""
+_END: Final = "force_map.high"
 
 
 def dampings_of(valve: Valve) -> tuple[str, ...]:
@@ -383,3 +388,19 @@ def _thinned_trace(trace: Trace, numbers: Iterator[NDArray[np.intp]]) -> Trace:
         own = next(numbers)
         few = replace(few, coil_current=Signal(trace.coil_current.times[own], trace.coil_current.values[own]))
     return few
+
+
+def force_map_over(variable: str, low: float, high: float, unit: str) -> ForceMap:
+    """A force map with all B-splines between the smallest and the largest value that the data have.
+
+    Args:
+        variable: one of FORCE_MAP_VARIABLES. low, high: in `unit`.
+    """
+    repeats = is_periodic(variable)
+    fixed = {"force_map.variable": float(FORCE_MAP_VARIABLES.index(variable)), "force_map.low": low, _END: high}
+    names = FORCE_MAP_COEFFICIENTS[:IN_A_PERIOD] if repeats else FORCE_MAP_COEFFICIENTS
+    least = 0.0 if is_damping(variable) else -math.inf
+    return ForceMap(
+        variable, tuple(f"force_map.{name}" for name in names), fixed, low, high, unit, "force_map.count", least,
+        end=_END if repeats else "",
+    )  # fmt: skip

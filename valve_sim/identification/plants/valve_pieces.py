@@ -13,8 +13,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from valve_sim.identification.plants.interval_factors import places_of_fields
 from valve_sim.identification.plants.protocol import Array
+from valve_sim.identification.plants.recording_errors import places_of_fields
 from valve_sim.identification.plants.valve_sensors import NO_TIMES, recorded, run_from_rest
 from valve_sim.model import Drive, Valve
 from valve_sim.model.runs import Directions, Shown

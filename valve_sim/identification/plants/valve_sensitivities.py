@@ -13,9 +13,14 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.identification.plants.interval_factors import IntervalFactors
 from valve_sim.identification.plants.protocol import Array, Direction, Piece, Sensitivities
-from valve_sim.identification.plants.recording_errors import drive_with, is_of_recording, lateness_with, zero_with
+from valve_sim.identification.plants.recording_errors import (
+    IntervalFactors,
+    drive_with,
+    is_of_recording,
+    lateness_with,
+    zero_with,
+)
 from valve_sim.identification.plants.valve_model import ValveModel
 from valve_sim.identification.plants.valve_pieces import Intervals, WholeRun, run_in_pieces, whole_run
 from valve_sim.identification.plants.valve_sensors import amperes, averaged, rated_current_of, shown_by

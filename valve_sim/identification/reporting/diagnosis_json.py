@@ -11,9 +11,9 @@ from valve_sim.identification.diagnosis.run import Diagnosis, State
 from valve_sim.identification.plants.protocol import KEY_OF_UNIT, primary_channels
 from valve_sim.identification.plants.tolerances import GROUP
 from valve_sim.identification.reporting.declared_values import declared_json
+from valve_sim.identification.reporting.findings import interval_json, intervals_json
 from valve_sim.identification.reporting.followed_positions import strokes_followed, strokes_json
 from valve_sim.identification.reporting.force_curves import Motion, force_curve, motion_of
-from valve_sim.identification.reporting.intervals import interval_json, intervals_json
 from valve_sim.identification.reporting.recording_state import recording_json
 from valve_sim.identification.reporting.summary import recording_advice, summarise
 from valve_sim.identification.reporting.wording import headline, meanings

@@ -8,7 +8,7 @@ from valve_sim.files.json_text import plain_mapping
 from valve_sim.identification.monitoring.fault_isolation import FaultFinding
 from valve_sim.identification.monitoring.findings import Occasion
 from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
-from valve_sim.identification.reporting.intervals import intervals_json
+from valve_sim.identification.reporting.findings import intervals_json
 from valve_sim.identification.reporting.monitoring_words import (
     fault_words,
     remark_words,

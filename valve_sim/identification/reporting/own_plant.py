@@ -6,20 +6,20 @@ import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
-from xml.sax.saxutils import escape, quoteattr
 
 import yaml
 
 from valve_sim.files.json_text import plain_mapping
 from valve_sim.files.plant_files import PlantFile, renamed
 from valve_sim.files.whole_files import write_whole
-from valve_sim.identification.diagnosis.own_plant import PlantIdentification, PlantValidation
+from valve_sim.identification.diagnosis.own_plant import PartChecked, PlantIdentification, PlantValidation
 from valve_sim.identification.diagnosis.run import Diagnosis
 from valve_sim.identification.estimation.declared_values import declared_values
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.plants.own import OwnPlant
-from valve_sim.identification.reporting.intervals import interval_lines, intervals_json
+from valve_sim.identification.reporting.findings import interval_lines, intervals_json
 from valve_sim.identification.reporting.units import quantity
+from valve_sim.identification.reporting.validation import junit
 from valve_sim.model.core.own.grammar import Expr, names_in
 from valve_sim.model.core.own.units import text_of
 
@@ -97,9 +97,7 @@ def plant_validation_json(result: PlantValidation) -> dict[str, Any]:
 def plant_validation_text(result: PlantValidation) -> str:
     """A line for each part, and the outcome."""
     lines = [
-        f"{'ok     ' if part.passed else 'OUTSIDE'} {part.channel}, part {part.group + 1}: rms error "
-        f"{quantity(part.rmse, part.unit)}, allowed {quantity(part.allowed, part.unit)}"
-        for part in result.parts
+        f"{'ok     ' if part.passed else 'OUTSIDE'} {_part_name(part)}: {_part_words(part)}" for part in result.parts
     ]
     outside = sum(not part.passed for part in result.parts)
     return "\n".join(
@@ -109,15 +107,17 @@ def plant_validation_text(result: PlantValidation) -> str:
 
 def plant_validation_junit(result: PlantValidation) -> str:
     """A JUnit report with a test case for each part."""
-    cases = []
-    for part in result.parts:
-        name = quoteattr(f"{part.channel}, part {part.group + 1}")
-        words = f"rms error {quantity(part.rmse, part.unit)}, allowed {quantity(part.allowed, part.unit)}"
-        inside = "" if part.passed else f"<failure message={quoteattr(words)}>{escape(words)}</failure>"
-        cases.append(f'  <testcase classname="valve_sim.validate" name={name}>{inside}</testcase>')
-    failures = sum(not part.passed for part in result.parts)
-    head = f'<testsuite name="valve-sim validate" tests="{len(cases)}" failures="{failures}">'
-    return "\n".join(['<?xml version="1.0" encoding="UTF-8"?>', head, *cases, "</testsuite>", ""])
+    return junit(
+        {result.plant.file.path: {_part_name(own): (_part_words(own), not own.passed) for own in result.parts}}
+    )
+
+
+def _part_name(part: PartChecked) -> str:
+    return f"{part.channel}, part {part.group + 1}"
+
+
+def _part_words(part: PartChecked) -> str:
+    return f"rms error {quantity(part.rmse, part.unit)}, allowed {quantity(part.allowed, part.unit)}"
 
 
 def corrected_plant(diagnosis: Diagnosis) -> dict[str, Any]:

@@ -30,9 +30,18 @@ def validation_text(result: Validation) -> str:
 
 def validation_junit(result: Validation) -> str:
     """JUnit XML: a suite for each recording, a test case for each stroke and one for the recording as a whole."""
+    return junit({replay.trace.source: _cases(replay) for replay in result.replays})
+
+
+def junit(suites: Mapping[str, Mapping[str, tuple[str, bool]]]) -> str:
+    """JUnit XML.
+
+    Args:
+        suites: by name, test cases by name: what is said of each, and whether it failed.
+    """
     root = ElementTree.Element("testsuites", name="valve-sim validate")
-    for replay in result.replays:
-        _add_recording(root, replay)
+    for name, cases in suites.items():
+        _add_suite(root, name, cases)
     for key in ("tests", "failures", "errors"):
         root.set(key, str(sum(int(suite.get(key, "0")) for suite in root)))
     ElementTree.indent(root)
@@ -115,7 +124,8 @@ def _arrival_lines(replay: Replay) -> Iterator[str]:
             yield f"  {name:<32}{measured:>18}{model:>9.3f}{apart:>+9.3f}  {stroke.name}"
 
 
-def _add_recording(root: ElementTree.Element, replay: Replay) -> None:
+def _cases(replay: Replay) -> dict[str, tuple[str, bool]]:
+    """Errors of each stroke and of the whole in words, and whether they are outside the tolerance."""
     cases = {}
     scale, unit = replay.readable
     for name, errors in (*((stroke.name, stroke.errors) for stroke in replay.strokes), ("in all", replay.errors)):
@@ -126,7 +136,7 @@ def _add_recording(root: ElementTree.Element, replay: Replay) -> None:
             f"tolerance {three_digits(scale * errors.tolerance)} {unit}"
         )
         cases[name] = words, not errors.is_within
-    _add_suite(root, replay.trace.source, cases)
+    return cases
 
 
 def _add_suite(root: ElementTree.Element, name: str, cases: Mapping[str, tuple[str, bool]]) -> None:

@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 from numpy.linalg import norm
 
-from valve_sim.identification.estimation.projection import OrthogonalProjector
+from valve_sim.identification.estimation.linearised import OrthogonalProjector
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.plants.protocol import (
     SMALL_MOVE,

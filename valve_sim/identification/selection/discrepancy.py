@@ -26,9 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from valve_sim.identification.estimation.condensed import RowPlaces
 from valve_sim.identification.estimation.gram import gram
 from valve_sim.identification.estimation.linearised import Linearised
+from valve_sim.identification.estimation.rows import RowPlaces
 from valve_sim.identification.plants.protocol import Array, Plant
 
 BLOCK: Final = 8

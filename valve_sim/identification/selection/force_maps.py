@@ -22,7 +22,6 @@ from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.smoothing import Smoothness
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Array, ForceMap, Nuisance
-from valve_sim.identification.plants.root_mean_square import root_mean_square
 from valve_sim.identification.selection.periods import Period, likely_periods
 from valve_sim.identification.selection.residual_tests import adequacy
 from valve_sim.model import SimulationError
@@ -49,14 +48,12 @@ class Unexplained:
     """A residual that no named effect explains, as the force map that explains most of it.
 
     Attributes:
-        force_rms: N, over the range of the variable. where: it is strongest, in words. variable: as in `ForceMap`.
+        variable: what it is a function of, as in `ForceMap`.
         at: (n,) places, SI. force: (n,) the curve there, N, or N·s/m of a damping. stderr: (n,) of it, from the
             covariance of the curve with that of its weights; empty where it is not known.
         gain: −2 ln of the evidence falls by so much against the model without it.
     """
 
-    force_rms: float
-    where: str
     variable: str
     at: tuple[float, ...]
     force: tuple[float, ...]
@@ -153,29 +150,16 @@ def _periodic(choice: ForceMap, base: Fit, periods: Sequence[Period]) -> list[No
 
 
 def describe(choice: ForceMap, result: Fit, base: Fit) -> Unexplained:
-    """A fitted force map in words: how large, and where it acts."""
+    """A fitted force map, and how well it is known."""
     at, force = _curve(choice, result)
     shapes = _shapes(choice, at)[:, [choice.coefficients.index(name) for name in choice.free]]
     own = [result.free.index(name) for name in choice.free]
     covariance = result.covariance[np.ix_(own, own)] if result.smooth is None else result.covariance_of_curve()
     variances = np.einsum("ij,jk,ik->i", shapes, covariance, shapes)
     return Unexplained(
-        root_mean_square(force), where(choice, result), choice.variable, tuple(at.tolist()),
-        tuple(force.tolist()), 2.0 * (result.log_evidence - base.log_evidence),
+        choice.variable, tuple(at.tolist()), tuple(force.tolist()), 2.0 * (result.log_evidence - base.log_evidence),
         tuple(np.sqrt(np.maximum(variances, 0.0)).tolist()),
     )  # fmt: skip
-
-
-def where(choice: ForceMap, result: Fit) -> str:
-    """Where a fitted force map acts, in words."""
-    at, force = _curve(choice, result)
-    strong = np.flatnonzero(np.abs(force) >= 0.5 * np.max(np.abs(force)))
-    low, high = at[max(0, strong[0] - 1)], at[min(len(at) - 1, strong[-1] + 1)]
-    scale, unit = (1e3, "mm") if choice.unit == "m" else (1e3, "ms") if choice.unit == "s" else (1.0, "m/s")
-    words = f"{choice.variable[0]} {scale * low:.3g} to {scale * high:.3g} {unit}"
-    if choice.end:
-        return f"{words}, again every {scale * (choice.high - choice.low):.4g} {unit}"
-    return words + (f", times {choice.variable[2:]}" if len(choice.variable) > 1 else "")
 
 
 def _smooth(choice: ForceMap) -> Smoothness:

@@ -20,8 +20,8 @@ import numpy as np
 from valve_sim.identification.estimation.gram import gram
 from valve_sim.identification.estimation.linearised import Linearised, bounded_steps
 from valve_sim.identification.estimation.problem import Problem
-from valve_sim.identification.estimation.recording import fit_recording
 from valve_sim.identification.estimation.result import Fit, rmse
+from valve_sim.identification.estimation.state_of_recording import fit_recording
 from valve_sim.identification.plants.covariance_root import covariance_root
 from valve_sim.identification.plants.protocol import Array, primary_channels, varying_of
 from valve_sim.identification.selection.discrepancy import Discrepancy, lengths_of

@@ -16,8 +16,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from valve_sim.identification.estimation.descent import STANDING, along
+from valve_sim.identification.estimation.linearised import MOVES_NOTHING, OrthogonalProjector
 from valve_sim.identification.estimation.priors import HALF, Cauchy, Normal, Prior
-from valve_sim.identification.estimation.projection import MOVES_NOTHING, OrthogonalProjector
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.plants.protocol import (
     SMALL_MOVE,

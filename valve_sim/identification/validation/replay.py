@@ -3,6 +3,9 @@
 Nothing of the valve is estimated, only errors of each recording, within their priors: the offset between the clocks of
 commands and samples and, where the evidence is for it, an error of each command's stamp (theory, eq. (26)). Tolerances
 of declared values widen the band within which the measurement is expected.
+
+The motion is simulated in pieces, and only what is judged of it is kept: a whole row of what the model has at each
+sample would be most of the memory of a long recording.
 """
 
 from __future__ import annotations
@@ -18,12 +21,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.identification.estimation.problem import Problem
-from valve_sim.identification.estimation.recording import fit_recording
+from valve_sim.identification.estimation.state_of_recording import fit_recording
 from valve_sim.identification.plants.protocol import READABLE_UNITS, Array
 from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA, drive_with, zero_with
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.validation.motion import motion_of
-from valve_sim.model import EXACT, Event, EventKind, SimulationError, Valve, ValveError
+from valve_sim.identification.plants.valve_pieces import Cut, cuts
+from valve_sim.identification.plants.valve_sensors import response_to
+from valve_sim.model import EXACT, TOLERANCE, Drive, Event, EventKind, Response, SimulationError, Valve, ValveError
+from valve_sim.model.runs import Run
+from valve_sim.model.simulation import commands_of
 from valve_sim.signals.long_columns import blocks
 from valve_sim.traces import SensorEvent, Signal, StrokePart, Trace, events_from_sensors, find_stroke_parts
 from valve_sim.traces.checking import check_traces
@@ -48,6 +54,11 @@ _ARRIVALS: Final[Mapping[str, tuple[EventKind, ...]]] = {
 }
 
 Progress = Callable[[str, float], None]
+STILL_SPEED: Final = 1e-5
+"""m/s: below it the model rests; a pilot plunger that nothing holds down creeps at nanometres a second."""
+_KINDS: Final = tuple(EventKind)
+EVENTS: Final = 256
+"""Room for those of a piece, which is made larger where there are more."""
 
 
 class Errors(NamedTuple):
@@ -373,3 +384,60 @@ def _arrival(event: SensorEvent, stroke: StrokePart, events: Sequence[Event], of
     """What the sensors saw beside what the model has of a stroke's events."""
     modelled = (found.time - stroke.start for found in events if found.kind in _ARRIVALS[event.kind])
     return Arrival(event.kind, event.sensor, event.after_command - offset, event.uncertainty, next(modelled, math.nan))
+
+
+class Motion(NamedTuple):
+    """What a replay needs of a response.
+
+    Attributes:
+        shown: (n,) what is judged: position, m, current, A, or outlet pressure, Pa. is_moving: (n,) whether it moves.
+        events: what happened, in order.
+    """
+
+    shown: Array
+    is_moving: NDArray[np.bool_]
+    events: tuple[Event, ...]
+
+
+def motion_of(valve: Valve, trace: Trace, drive: Drive, times: Array, start: float, offset: float) -> Motion:
+    """The motion at (n,) stamps of samples, s, of a valve that rests until a start, s; arguments as of `response_to`.
+
+    Raises:
+        SimulationError: the valve cannot be simulated.
+    """
+
+    def taken(own: slice) -> Array:
+        return np.maximum(times[own] - offset, start)
+
+    if valve.gas is not None or valve.after_effects("sensor_delay")[0]:
+        return _whole(response_to(valve, trace, drive, taken(slice(None)), start, offset), trace.primary_signal)
+    shown, is_moving = np.empty(len(times)), np.empty(len(times), dtype=bool)
+    events, commands = list[Event](), commands_of(drive)
+    stepped = Run(valve, start, tolerance=TOLERANCE)  # as `simulate` has it
+    is_position = trace.primary_signal == "position"
+    for cut in cuts(times, times, drive, (offset, 0.0)):
+        rows, new = _rows(stepped, commands[cut.commands], cut, taken(cut.positions))
+        events += new
+        is_moving[cut.positions] = np.abs(rows[:, 2]) > STILL_SPEED
+        shown[cut.positions] = rows[:, 0 if is_position else 8]
+    return Motion(shown, is_moving, tuple(events))
+
+
+def _rows(stepped: Run, commands: Array, cut: Cut, times: Array) -> tuple[Array, list[Event]]:
+    """Run a piece: its rows, and its events."""
+    before, room = stepped.save(), EVENTS
+    while True:
+        rows, events, count = stepped.rows(commands, cut.end, times, room=room)
+        if count <= room:
+            return rows, [Event(t, _KINDS[int(kind)], x, v) for t, kind, x, v in events.tolist()]
+        stepped.restore(before)
+        room = count
+
+
+def _whole(response: Response, judged: str) -> Motion:
+    shown = {
+        "position": response.pilot_position, "current": response.coil_current,
+        "outlet_pressure": response.outlet_pressure,
+    }[judged]  # fmt: skip
+    assert shown is not None
+    return Motion(shown, np.abs(response.pilot_velocity) > STILL_SPEED, response.events)

@@ -1,13 +1,16 @@
-"""Fewer rows of a fit: what is read while a machine is still is summed up in blocks, of which one sample is simulated.
+"""What a fit compares: rows of whitened, weighted residuals, of each sample or of blocks of samples.
 
-Where a model says the same for all n samples of a block, and their weights are w, whitened readings aₜ enter the
-criterion by their weighted mean alone:
+What is read while a machine is still is summed up in blocks, of which one sample is simulated. Where a model says the
+same for all n samples of a block, and their weights are w, whitened readings aₜ enter the criterion by their weighted
+mean alone:
 
     Σ w² (a − m)² = W (ā − m)² + Σ w² (a − ā)²,    W = Σ w²,  ā = Σ w² a / W
 
 so that a row of weight √W stands for n, and the last sum, which no model changes, is added to the criterion. A model
 that moves while the machine is still is seen at one sample of each block; blocks are shorter where a still stretch
 begins, in which what settles may still be seen.
+
+Of a long recording rows are not held at all: its pieces are added up one after the other.
 """
 
 from __future__ import annotations
@@ -16,30 +19,31 @@ import copy
 import functools
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.identification.estimation.budget import Budget
 from valve_sim.identification.estimation.column_groups import ColumnGroup, group_columns, reach_of
+from valve_sim.identification.estimation.gram import gram
 from valve_sim.identification.estimation.noise import Noise, readings_near, stretches
+from valve_sim.identification.plants.check import checked_prediction
 from valve_sim.identification.plants.protocol import (
     Array,
     Channel,
     Differentiable,
     Direction,
+    InPieces,
     Nuisance,
+    Piece,
     Plant,
     Thinnable,
     strokes_of_plant,
     varying_of,
 )
 from valve_sim.model import SimulationError
-from valve_sim.model.core.machine import made_once
-from valve_sim.model.core.native import native
-from valve_sim.model.core.polynomials import Block
 
 FIRST_BLOCKS: Final = (3, 3, 3, 5, 5, 7, 9, 11, 13)
 """Samples in the blocks with which a still stretch begins; odd, so that one sample is in the middle."""
@@ -59,18 +63,21 @@ class _Layout(NamedTuple):
     """The rows of one channel.
 
     Attributes:
-        kept: (m,) which samples are simulated, ascending.
+        kept: (m,) which samples are simulated, ascending; None: all of them.
+        readings: (m,) what is measured there, which is taken from what is simulated before it is whitened.
         at: (r,) index among these of the sample of each row. lags: (r,) how many before it a row takes to be whitened;
             −1 for a block, in which all are the same.
-        scale: (r,) factor of what is simulated. target: (r,) whitened, weighted reading.
+        scale: (r,) factor of that. target: (r,) what is measured of a row, whitened and weighted, beyond `readings`.
         counts: (r,) samples that a row stands for. times: (r,) s.
         moves: (r,) whether it is one sample that is not known to be still. groups: (r,) the stroke that it belongs to.
         steady: (r,) what an offset by one standard deviation of the noise makes of it.
         constant: what all blocks add to the criterion, whatever is simulated.
-        starts: (r',) where rows begin, those that do not take part among them. squares: (n,) of the samples' weights.
+        starts: (r',) where rows begin, those that do not take part among them; None: each sample is a row.
+        squares: (n,) of the samples' weights.
     """
 
-    kept: NDArray[np.intp]
+    kept: NDArray[np.intp] | None
+    readings: Array
     at: NDArray[np.intp]
     lags: NDArray[np.intp]
     scale: Array
@@ -81,8 +88,22 @@ class _Layout(NamedTuple):
     groups: NDArray[np.integer]
     steady: Array
     constant: float
-    starts: NDArray[np.intp]
+    starts: NDArray[np.intp] | None
     squares: Array
+
+    def whitened(self, columns: Array, noise: Noise) -> Array:
+        """(r, q) whitened, weighted columns of (n, q) of all samples.
+
+        Of a block that is the weighted mean, as of its readings: what rings and hums within it is not one sample's.
+        """
+        own = np.empty(columns.shape)
+        if self.starts is None:
+            noise.whiten_into(own, columns, np.sqrt(self.squares))
+            return own
+        noise.whiten_into(own, columns, self.squares)
+        total = np.add.reduceat(self.squares, self.starts)
+        used = total > 0.0
+        return np.asarray(np.add.reduceat(own, self.starts, axis=0)[used] / np.sqrt(total[used])[:, None])
 
 
 class RowPlaces(NamedTuple):
@@ -101,49 +122,53 @@ class RowPlaces(NamedTuple):
     steady: Array
 
 
-def places_of(
-    recordings: Sequence[int], parts: Sequence[tuple[Array, NDArray[np.integer], NDArray[np.bool_], Array]]
-) -> RowPlaces:
-    """The places of rows, channel by channel.
-
-    Args:
-        recordings: of each channel. parts: of each channel, (r,) times, groups, whether it moves, and `steady`.
-    """
-    times, groups, moves, steady = (np.concatenate(part) for part in zip(*parts, strict=True))
-    channel = np.concatenate([np.full(len(part[0]), index) for index, part in enumerate(parts)])
-    keys = np.column_stack([np.asarray(recordings)[channel], groups])
-    _, stroke = np.unique(keys, axis=0, return_inverse=True)
-    return RowPlaces(channel, times, stroke.reshape(-1), moves, steady)
-
-
-class Condensed:
-    """Rows of whitened, weighted residuals, of which some stand for many.
-
-    Args:
-        plant: the machine and its data, of which samples can be left out.
-        weights: (n,) of the samples of each channel. noises: of each channel. budget: of the fits.
+class Sums(NamedTuple):
+    """Sums over n whitened, weighted residuals e and their derivatives J along k directions.
 
     Attributes:
-        constant: what is to be added to the sum of their squares. counts: (r,) samples that each stands for.
+        squares: eᵀ e. gradient: (k,) Jᵀ e. information: (k, k) Jᵀ J.
     """
 
-    def __init__(self, plant: Thinnable, weights: Sequence[Array], noises: Sequence[Noise], budget: Budget) -> None:
-        edges = np.unique(
-            [end for own in (*plant.nuisances, *plant.timing_errors, *varying_of(plant)) for end in own.during]
-        )
-        edges = edges[np.isfinite(edges)]
-        channels = zip(plant.channels, _reference(plant), weights, noises, strict=True)
-        self._layouts = [_laid_out(*channel, edges) for channel in channels]
-        self._noises = list(noises)
-        self._coefficients = [np.array(noise.coefficients, dtype=np.float64) for noise in noises]
-        self._plant = plant.thinned([layout.kept for layout in self._layouts])
-        self._recordings = tuple(plant.channels)
-        self._groups: dict[tuple[Nuisance, ...], list[ColumnGroup]] = {}
-        self._budget, self._strokes = budget, max(1, len(strokes_of_plant(plant)))
-        self.constant = math.fsum(layout.constant for layout in self._layouts)
-        self.counts = np.concatenate([layout.counts for layout in self._layouts])
+    squares: float
+    gradient: Array
+    information: Array
 
-    def without_limit(self) -> Condensed:
+
+class Rows:
+    """Rows of whitened, weighted residuals: each sample of a plant is one.
+
+    Args:
+        plant: the machine and its data.
+        weights: (n,) of the samples of each channel. noises: of each channel. budget: of the fits.
+    """
+
+    def __init__(self, plant: Plant, weights: Sequence[Array], noises: Sequence[Noise], budget: Budget) -> None:
+        self.plant = plant
+        self._weights, self._noises, self._budget = list(weights), list(noises), budget
+        self._strokes = max(1, len(strokes_of_plant(plant)))
+        self._groups: dict[tuple[Nuisance, ...], list[ColumnGroup]] = {}
+
+    @functools.cached_property
+    def _layouts(self) -> list[_Layout]:
+        channels = zip(self.plant.channels, self._weights, self._noises, strict=True)
+        return [_each_sample(*channel) for channel in channels]
+
+    @property
+    def _simulated(self) -> Plant:
+        """The plant with the samples that are simulated."""
+        return self.plant
+
+    @property
+    def constant(self) -> float:
+        """What is to be added to the sum of the squares of the residuals."""
+        return 0.0
+
+    @functools.cached_property
+    def counts(self) -> Array:
+        """(r,) samples that each row stands for."""
+        return np.concatenate([layout.counts for layout in self._layouts])
+
+    def without_limit(self) -> Rows:
         """These rows without a limit of work."""
         same = copy.copy(self)
         same._budget = Budget.unlimited()
@@ -152,14 +177,24 @@ class Condensed:
     @functools.cached_property
     def places(self) -> RowPlaces:
         """Time and stroke of each row, whether it is in motion, and its weight."""
-        parts = [(layout.times, layout.groups, layout.moves, layout.steady) for layout in self._layouts]
-        return places_of([channel.recording for channel in self._recordings], parts)
+        layouts = self._layouts
+        channel = np.concatenate([np.full(len(own.times), index) for index, own in enumerate(layouts)])
+        recordings = np.array([own.recording for own in self.plant.channels])
+        keys = np.column_stack([recordings[channel], np.concatenate([own.groups for own in layouts])])
+        _, stroke = np.unique(keys, axis=0, return_inverse=True)
+        times, moves, steady = (
+            np.concatenate([getattr(own, name) for own in layouts]) for name in ("times", "moves", "steady")
+        )
+        return RowPlaces(channel, times, stroke.reshape(-1), moves, steady)
+
+    def reach(self, nuisance: Nuisance) -> NDArray[np.bool_]:
+        """(r,) which rows a nuisance acts on."""
+        return reach_of(nuisance, [layout.times for layout in self._layouts])
 
     def groups(self, nuisances: tuple[Nuisance, ...]) -> list[ColumnGroup]:
         """Nuisances in groups, of which no two act on the same row."""
         if nuisances not in self._groups:
-            times = [layout.times for layout in self._layouts]
-            self._groups[nuisances] = group_columns([reach_of(nuisance, times) for nuisance in nuisances])
+            self._groups[nuisances] = group_columns([self.reach(nuisance) for nuisance in nuisances])
         return self._groups[nuisances]
 
     def residuals(self, values: Mapping[str, float]) -> Array:
@@ -167,79 +202,112 @@ class Condensed:
 
         Raises:
             SimulationError: the machine cannot be simulated with these values.
+            PlantError: its plant breaks down with them.
         """
         self._budget.count(self._strokes)
-        shown = [prediction[:, None] for prediction in self._plant.predict(values)]
-        targets = np.concatenate([layout.target for layout in self._layouts])
-        return targets - self._combined(shown)[:, 0]
+        shown = checked_prediction(self._simulated, values)
+        beyond = [(own - layout.readings)[:, None] for own, layout in zip(shown, self._layouts, strict=True)]
+        return np.concatenate([layout.target for layout in self._layouts]) - self._whitened(beyond)[:, 0]
 
     def sensitivities(
         self, values: Mapping[str, float], directions: Sequence[Direction]
     ) -> tuple[Array, NDArray[np.bool_]]:
-        """(r, k) derivatives of the residuals along directions, and (k,) where the plant knows them.
+        """(r, k) derivatives of the residuals, no rows where none is known, and (k,) where the plant knows them.
+
+        Args:
+            values, directions: as of the plant's `sensitivities`.
 
         Raises:
             SimulationError: the machine cannot be simulated with these values.
         """
         self._budget.count(self._strokes, len(directions))
-        return whitened_sensitivities(self._plant, values, directions, lambda columns: -self._combined(columns))
+        nothing, plant = np.empty((0, len(directions))), self._simulated
+        if not directions or not isinstance(plant, Differentiable):
+            return nothing, np.zeros(len(directions), dtype=bool)
+        columns, known = plant.sensitivities(values, directions)
+        return (self._whitened(columns, -1.0) if known.any() else nothing), known
 
     def whitened_columns(self, columns: Mapping[int, Array]) -> dict[int, tuple[slice, Array]]:
-        """The slice of rows of some channels, and (r, q) whitened, weighted columns of (n, q) of all their samples.
-
-        Of a block that is the weighted mean, as of its readings: what rings and hums within it is not one sample's.
-        """
+        """The slice of rows of some channels, and (r, q) whitened, weighted columns of (n, q) of all their samples."""
         found, start = {}, 0
         for index, (layout, noise) in enumerate(zip(self._layouts, self._noises, strict=True)):
-            stop = start + len(layout.at)
+            own = slice(start, start + len(layout.at))
             if index in columns:
-                own = np.empty(columns[index].shape)
-                noise.whiten_into(own, columns[index], layout.squares)
-                total = np.add.reduceat(layout.squares, layout.starts)
-                used = total > 0.0
-                sums = np.add.reduceat(own, layout.starts, axis=0)[used]
-                found[index] = slice(start, stop), sums / np.sqrt(total[used])[:, None]
-            start = stop
+                found[index] = own, layout.whitened(columns[index], noise)
+            start = own.stop
         return found
 
-    def _combined(self, columns: Sequence[Array]) -> Array:
+    def _whitened(self, columns: Sequence[Array], sign: float = 1.0) -> Array:
         """(r, k) of all channels, whitened and weighted, from (m, k) each of the samples that are simulated."""
-        found = np.empty((len(self.counts), columns[0].shape[1]))
+        found = np.empty((sum(len(layout.at) for layout in self._layouts), columns[0].shape[1]))
         start = 0
-        for of_channel, layout, coefficients in zip(columns, self._layouts, self._coefficients, strict=True):
+        for of_channel, layout, noise in zip(columns, self._layouts, self._noises, strict=True):
             own = found[start : start + len(layout.at)]
-            given = np.ascontiguousarray(of_channel)
-            at, lags, scale = (
-                np.ascontiguousarray(column, dtype=np.float64) for column in (layout.at, layout.lags, layout.scale)
-            )
-            numbers = (at, lags, scale, coefficients)
-            _combine()(
-                own.ctypes.data, given.ctypes.data, *own.shape, *(column.ctypes.data for column in numbers)
-            )  # fmt: skip
+            noise.whiten_rows(own, of_channel, layout.at, layout.lags, sign * layout.scale)
             start += len(own)
         return found
 
+    def sums(self, values: Mapping[str, float], directions: Sequence[Direction]) -> Sums | None:
+        """Sums over the residuals and their derivatives, of which only a piece is held; None where they are not known.
 
-def whitened_sensitivities(
-    plant: Plant,
-    values: Mapping[str, float],
-    directions: Sequence[Direction],
-    whiten: Callable[[Sequence[Array]], Array],
-) -> tuple[Array, NDArray[np.bool_]]:
-    """(r, k) derivatives of residuals along directions, no rows where none is known, and (k,) which the plant knows.
+        Args:
+            values, directions: as of the plant's `sensitivities`; without directions no derivative is asked for.
 
-    Args:
-        plant: the machine. values, directions: as of its `sensitivities`.
-        whiten: what makes derivatives of residuals of those of each channel.
+        Raises:
+            SimulationError: the machine cannot be simulated with these values.
+        """
+        self._budget.count(self._strokes, len(directions))
+        pieces = self.plant.pieces(values, directions) if isinstance(self.plant, InPieces) else None
+        if pieces is None:
+            return None
+        total = np.zeros((1 + len(directions),) * 2)
+        before = [np.empty((0, 1 + len(directions))) for _ in self._noises]
+        for piece in pieces:
+            noise, weight = self._noises[piece.channel], self._weights[piece.channel]
+            known = before[piece.channel]
+            rows = _rows_of(piece, self.plant.channels[piece.channel], known)
+            first, order = len(known), len(noise.coefficients)
+            before[piece.channel] = rows[max(0, len(rows) - order) :].copy()
+            white = np.empty_like(rows)
+            noise.whiten_into(white, rows, weight[piece.start - first : piece.start + len(rows) - first])
+            total += gram(white[first:], white[first:])
+        return Sums(float(total[0, 0]), total[0, 1:], total[1:, 1:])
 
-    Raises:
-        SimulationError: the machine cannot be simulated with these values.
-    """
-    nothing = np.empty((0, len(directions)))
-    if not directions or not isinstance(plant, Differentiable):
-        return nothing, np.zeros(len(directions), dtype=bool)
-    columns, known = plant.sensitivities(values, directions)
-    return (whiten(columns) if known.any() else nothing), known
+
+def _rows_of(piece: Piece, channel: Channel, before: Array) -> Array:
+    """(n, 1 + k) measured less shown, and derivatives of that, after the rows that colour the noise of the first."""
+    rows = np.empty((len(before) + len(piece.shown), before.shape[1]))
+    rows[: len(before)] = before
+    own = rows[len(before) :]
+    np.subtract(channel.data[piece.samples], piece.shown, out=own[:, 0])
+    np.negative(piece.columns, out=own[:, 1:])
+    return rows
+
+
+class CondensedRows(Rows):
+    """Rows of which some stand for many samples; arguments as of `Rows`, the plant one that can be thinned."""
+
+    def __init__(self, plant: Thinnable, weights: Sequence[Array], noises: Sequence[Noise], budget: Budget) -> None:
+        super().__init__(plant, weights, noises, budget)
+        edges = np.unique(
+            [end for own in (*plant.nuisances, *plant.timing_errors, *varying_of(plant)) for end in own.during]
+        )
+        channels = zip(plant.channels, _reference(plant), weights, noises, strict=True)
+        self._condensed = [_in_blocks(*channel, edges[np.isfinite(edges)]) for channel in channels]
+        self._thinned = plant.thinned([np.arange(0) if own.kept is None else own.kept for own in self._condensed])
+
+    @property
+    def _layouts(self) -> list[_Layout]:
+        return self._condensed
+
+    @property
+    def _simulated(self) -> Plant:
+        return self._thinned
+
+    @property
+    def constant(self) -> float:
+        """What the scatter in blocks adds to the sum of the squares of the residuals."""
+        return math.fsum(layout.constant for layout in self._layouts)
 
 
 def _reference(plant: Plant) -> list[Array]:
@@ -250,8 +318,20 @@ def _reference(plant: Plant) -> list[Array]:
         return [np.zeros_like(channel.data) for channel in plant.channels]
 
 
-def _laid_out(channel: Channel, reference: Array, weight: Array, noise: Noise, edges: Array) -> _Layout:
-    """The rows of a channel.
+def _each_sample(channel: Channel, weight: Array, noise: Noise) -> _Layout:
+    """The rows of a channel of which each sample is one; weight: (n,) of them."""
+    count = len(channel.data)
+    at = np.arange(count)
+    steady = noise.sigma * (1.0 - math.fsum(noise.coefficients)) / noise.innovation
+    return _Layout(
+        None, channel.data, at, np.minimum(at, len(noise.coefficients)), weight / noise.innovation, np.zeros(count),
+        np.ones(count), channel.times, ~channel.quiet & (weight > 0.0), channel.group, weight * steady, 0.0, None,
+        np.square(weight),
+    )  # fmt: skip
+
+
+def _in_blocks(channel: Channel, reference: Array, weight: Array, noise: Noise, edges: Array) -> _Layout:
+    """The rows of a channel of which blocks of samples are some.
 
     Args:
         reference: (n,) what is taken from the readings before they are summed up, so that what settles alike in both
@@ -280,7 +360,7 @@ def _laid_out(channel: Channel, reference: Array, weight: Array, noise: Noise, e
     root = np.sqrt(total)
     steady = noise.sigma * (1.0 - math.fsum(noise.coefficients)) / noise.innovation
     return _Layout(
-        kept, np.searchsorted(kept, middle), lags, root * gain, root * mean,
+        kept, np.zeros(len(kept)), np.searchsorted(kept, middle), lags, root * gain, root * mean,
         counts, channel.times[middle], ~is_block & ~channel.quiet[middle],
         channel.group[middle], root * steady, math.fsum(constant), every, squares,
     )  # fmt: skip
@@ -331,29 +411,3 @@ def _still(channel: Channel, sigma: float) -> list[tuple[int, int, int]]:
         # The first of them may be of what still moves.
         found.append((first - max(0, near - SETTLES), last, max(1, fits - (fits + 1) % 2)))
     return found
-
-
-def combine(
-    found: Block, columns: Block, rows: int, count: int, at: Block, lags: Block, scale: Block, coefficients: Block
-) -> None:  # fmt: skip
-    """Whiten and weight columns of `count` numbers a sample: (rows, count)."""
-    for row in range(rows):
-        out = found[row * count :]
-        place = int(at[row])
-        own = columns[place * count :]
-        for column in range(count):
-            out[column] = own[column]
-        most = int(lags[row])
-        for lag in range(1, most + 1):
-            before = columns[(place - lag) * count :]
-            coefficient = coefficients[lag - 1]
-            for column in range(count):
-                out[column] -= coefficient * before[column]
-        factor = scale[row]
-        for column in range(count):
-            out[column] *= factor
-
-
-@made_once
-def _combine() -> Any:
-    return native(combine)
