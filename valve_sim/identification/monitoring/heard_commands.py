@@ -14,7 +14,7 @@ from dataclasses import replace
 from valve_sim.identification.monitoring.command_timing import RECENT, ArrivalSpread
 from valve_sim.model import Drive
 from valve_sim.traces import Signal, Trace
-from valve_sim.traces.command_dates import dates_by_voltage, within_steps
+from valve_sim.traces.command_times import dates_by_voltage, within_steps
 
 
 class HeardCommands:
