@@ -36,8 +36,8 @@ COMPILED := valve_sim/warm.py $(shell find valve_sim/model -name '*.py')
 PARTS := $(MAKE) --no-print-directory --keep-going --jobs 2 --output-sync=target
 PARTS_ARE := two parts at a time; what each found is printed when it is done, and those that failed are named in the end
 PYTEST := -m pytest --durations 10
-# Two processes, each with whole files, so that what the fixtures of a file make is made once. Live nodes wait most of the
-# time; each process of their tests has a ROS domain of its own.
+# Two processes, each with whole files and with all files that share something costly (see test/conftest.py), so that it is
+# made once. Live nodes wait most of the time; each process of their tests has a ROS domain of its own.
 SIDE_BY_SIDE := --numprocesses 2 --dist loadfile
 WITH_NODES = $(shell grep --recursive --files-with-matches --include='test_*.py' 'mark\.ros' test)
 # The tests that depend on the ROS distribution.

@@ -52,6 +52,9 @@ def test_all_that_states_a_version_states_the_same() -> None:
     released = re.findall(r"^(\d+\.\d+\.\d+) \((\d{4}-\d\d-\d\d)\)$", changes, re.MULTILINE)
     assert valve_sim.__version__ == version
     assert citation["version"] == version
+    assert citation["title"] == MANIFEST.findtext("name")
+    assert citation["license"] == MANIFEST.findtext("license")
+    assert {"cff-version", "message", "authors"} <= citation.keys()
     assert released[0] == (version, citation["date-released"])
     assert released == sorted(released, reverse=True)
 

@@ -12,7 +12,7 @@ from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
 from plants.recording import BAG_START_NS, Recorder, record, train_bags, write_bag
 
 DAY_NS = 86_400_000_000_000
-FINE = Recorder(quantisation=0.1e-6)
+FINE = Recorder(quantisation=0.1e-6, sample_rate=10e3)
 
 
 def make_bag(folder: Path, day: float = 0.0, valve: str = "/valve", seed: int = 1, **friction: float) -> Path:

@@ -17,7 +17,7 @@ from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import Drive, Valve
 from valve_sim.traces import Trace
 
-FINE = Recorder(quantisation=0.1e-6)
+FINE = Recorder(quantisation=0.1e-6, sample_rate=10e3)
 COARSER = Recorder(quantisation=0.1e-6, sample_rate=5e3)
 TRUTH = {"pilot_damping": 1.4, "main_damping": 3.2}
 """N·s/m, neither of them declared."""

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from plants.recording import Recorder
 
-from identification.recordings import FINE, recorded
+from identification.recordings import recorded
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.identify import primary_rmse
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
@@ -27,6 +27,8 @@ from valve_sim.model import Valve
 from valve_sim.traces import Trace, TraceError, read_trace, refuse_doubtful_units, write_bag
 
 VALVE = default_valve().exact()
+FINE = Recorder(quantisation=0.1e-6)
+"""At 20 kHz, so that spikes and codes of some milliseconds are many samples."""
 BOTH = ("pilot_damping", "main_damping")
 VALUES = {"pilot_damping": 1.3, "main_damping": 3.3, "clock_offset[0]": 1e-5}
 CODE = 32.767e-3
@@ -152,7 +154,7 @@ def test_samples_after_one_that_is_left_out_weigh_nothing_as_far_as_whitening_re
     colour: tuple[float, ...], samples: int, reach: int
 ) -> None:
     """Of what is never still the noise is estimated later, and may have any order."""
-    plant = ValvePlant([spoilt(recorded())], VALVE)
+    plant = ValvePlant([spoilt(recorded(FINE))], VALVE)
     left_out = plant.channels[0].left_out
     assert left_out is not None
     weight = Problem(plant, noises={"position": Noise(1e-6, 1e-6, colour, 0.0, samples)}).weight(0)
@@ -172,7 +174,7 @@ def test_windows_are_bridged_over_spikes_and_end_at_dropouts() -> None:
 
 
 def test_some_samples_of_a_plant_are_left_out_as_they_were() -> None:
-    plant = ValvePlant([spoilt(recorded())], VALVE)
+    plant = ValvePlant([spoilt(recorded(FINE))], VALVE)
     kept = np.arange(0, len(plant.channels[0].data), 3)
     few, every = plant.thinned([kept]).channels[0], plant.channels[0]
     assert few.left_out is not None
@@ -182,14 +184,14 @@ def test_some_samples_of_a_plant_are_left_out_as_they_were() -> None:
 
 @pytest.mark.parametrize("left_out", [np.zeros(3, bool), np.zeros(10_000), [False] * 10_000])
 def test_a_plant_whose_mask_is_none_is_refused(left_out: object) -> None:
-    plant = ValvePlant([recorded()], VALVE)
+    plant = ValvePlant([recorded(FINE)], VALVE)
     plant._channels = [replace(plant.channels[0], left_out=left_out)]  # type: ignore[arg-type]
     with pytest.raises(PlantError, match=r"channels\[0\]\.left_out: found .*, expected \(10000,\) of bool"):
         check_plant(plant)
 
 
 def test_a_replay_is_judged_by_measurements() -> None:
-    trace = recorded()
+    trace = recorded(FINE)
     valve = VALVE.with_values(pilot_damping=1.4, main_damping=3.2)
     sound, found = (validate([own], valve).replays[0].errors for own in (trace, spoilt(trace)))
     assert found.samples == sound.samples - np.count_nonzero(spoilt(trace).left_out.any)
@@ -202,7 +204,7 @@ def diagnosed(trace: Trace, valve: Valve = VALVE) -> Diagnosis:
 
 
 def test_a_healthy_valve_stays_healthy_with_spikes_and_dropouts(tmp_path: Path) -> None:
-    trace = recorded()
+    trace = recorded(FINE)
     write_bag(tmp_path / "bad.mcap", spoilt(trace))
     bad = read_trace(tmp_path / "bad.mcap")
     refuse_doubtful_units(bad, VALVE.parameters)
@@ -217,7 +219,7 @@ def test_a_healthy_valve_stays_healthy_with_spikes_and_dropouts(tmp_path: Path) 
 
 @pytest.mark.long
 def test_a_missing_effect_is_named_with_spikes_and_dropouts() -> None:
-    bad = spoilt(recorded(effects={"stop_bounce": {"restitution_stop": 0.2, "restitution_seat": 0.15}}))
+    bad = spoilt(recorded(FINE, effects={"stop_bounce": {"restitution_stop": 0.2, "restitution_seat": 0.15}}))
     found = diagnosed(bad)
     assert found.verdict.effects == ("stop_bounce",)
     interval = found.after.intervals["stop_bounce.restitution_stop"]
@@ -226,6 +228,6 @@ def test_a_missing_effect_is_named_with_spikes_and_dropouts() -> None:
 
 @pytest.mark.parametrize("unit", [1e3, 1e6, 1e-3])
 def test_another_unit_is_refused_with_codes_in_it(unit: float) -> None:
-    bad = spoilt(recorded())
+    bad = spoilt(recorded(FINE))
     with pytest.raises(TraceError, match=r"about (1000|1e\+06) times too (large|small)"):
         refuse_doubtful_units(replace(bad, pilot_position=unit * bad.pilot_position), VALVE.parameters)

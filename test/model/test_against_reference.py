@@ -28,7 +28,7 @@ def differences(valve: Valve, drive: Drive) -> tuple[float, float, bool]:
     return position, max((abs(event.time - when) for event, (when, _) in pairs), default=0.0), kinds
 
 
-@pytest.mark.parametrize("seed", [*range(30), 34, 62, 44, 902])  # two with residual magnetism, two that bounce
+@pytest.mark.parametrize("seed", [*range(20), 34, 62, 44, 902])  # two with residual magnetism, two that bounce
 def test_agrees_with_dop853(seed: int) -> None:
     position, moment, same = differences(*random_valve(seed))
     assert same

@@ -120,7 +120,9 @@ def test_tags_find_what_others_ask_for() -> None:
 def test_an_entry_speaks_to_people(name: str) -> None:
     effect = CATALOGUE[name]
     assert effect.tags
-    assert "_" not in effect.title
+    assert effect.title and "_" not in effect.title
+    assert effect.summary and effect.source
+    assert all(parameter.unit and parameter.description for parameter in effect.parameters)
     for sentence in (effect.on_a_real_valve, effect.what_to_do):
         assert re.fullmatch(r"[A-Z][^_\n]{20,240}\.", sentence), sentence
     values = {parameter.name: parameter.prior_scale for parameter in effect.parameters}

@@ -8,13 +8,10 @@ from __future__ import annotations
 import math
 import sys
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from valve_sim.files.parameter_files import load_valve, save_valve
 from valve_sim.files.resources import config_path
@@ -119,16 +116,6 @@ def work_of_source(valve: Valve) -> float:
     return float(np.sum(simulate(valve, PULSE, times).coil_current)) * 9.0 * 7e-6
 
 
-def test_errors_shrink_with_the_tolerance() -> None:
-    exact = simulate(MOVING, PULSE, TIMES, tolerance=1e-13)
-    errors = []
-    for tolerance in (1e-5, 1e-7, 1e-9, 1e-11):
-        found = simulate(MOVING, PULSE, TIMES, tolerance=tolerance)
-        errors.append(max(abs(a.time - b.time) for a, b in zip(found.events, exact.events, strict=True)))
-    # Of order 5: a hundredth of the tolerance leaves a fortieth of the error.
-    assert all(later < earlier / 10.0 for earlier, later in pairwise(errors)), errors
-
-
 def test_a_share_of_0_without_eddy_currents_is_equation_1() -> None:
     none = simulate(with_effects(LIVELY, motional_emf={"share": 0.0}), PULSE, TIMES)
     plain = simulate(LIVELY, PULSE, TIMES)
@@ -212,22 +199,6 @@ def test_a_command_of_0_again_changes_nothing() -> None:
     np.testing.assert_allclose(often.pilot_position, once.pilot_position, atol=1e-12)
     np.testing.assert_allclose(often.coil_current, once.coil_current, atol=1e-9)
     assert [event.kind for event in often.events] == [event.kind for event in once.events]
-
-
-@settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
-@given(seed=st.integers(0, 40), cuts=st.lists(st.floats(1e-4, END), min_size=1, max_size=20))
-def test_a_stepper_is_where_a_whole_run_is(seed: int, cuts: list[float]) -> None:
-    """However time is cut, to rounding: the state of the coil depends on commands and events alone."""
-    valve, drive = random_case(seed)
-    times = np.array(sorted(cuts))
-    whole = simulate(valve, drive, times, start_time=0.0)
-    stepper, commands = Stepper(valve, 0.0), list(zip(drive.times, drive.volts, strict=True))
-    for index, time in enumerate(times.tolist()):
-        while commands and commands[0][0] < time:
-            stepper.command(*commands.pop(0))
-        reading = stepper.advance(time)
-        assert reading.pilot_position == pytest.approx(whole.pilot_position[index], rel=0.0, abs=1e-13)
-        assert reading.coil_current == pytest.approx(whole.coil_current[index], rel=0.0, abs=1e-10)
 
 
 def test_a_new_valve_takes_over_the_current() -> None:

@@ -104,15 +104,13 @@ def test_beyond_the_data_the_curve_is_constant() -> None:
     assert first != pytest.approx(last)
 
 
-@pytest.mark.parametrize(("variable", "high"), [("x·v", 1.23e-3), ("v", 0.4), ("t·v", 0.03)])
-def test_where_velocity_takes_part_energy_is_only_taken_out(variable: str, high: float) -> None:
+def test_where_velocity_takes_part_energy_is_only_taken_out() -> None:
     """On its way, at every instant the plungers are slower at the same place than without."""
     damping = np.abs(np.random.default_rng(3).normal(size=20)) * 8.0
-    low = -high if variable == "v" else 0.0
     times = np.arange(0.0, 0.03, 2e-5)
     drive = Drive.of([0.0], [9.0])
     free = simulate(Valve.from_mapping(OPENS, "test"), drive, times)
-    damped = simulate(with_map(variable, damping, low, high), drive, times)
+    damped = simulate(with_map("x·v", damping, 0.0, 1.23e-3), drive, times)
     on_its_way = (damped.pilot_position > 0.02e-3) & (damped.pilot_position < 0.2e-3)
     same_place = np.interp(damped.pilot_position[on_its_way], free.pilot_position[:200], free.pilot_velocity[:200])
     assert np.count_nonzero(on_its_way) > 20

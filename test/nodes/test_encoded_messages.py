@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import array
-import math
 import struct
 from collections.abc import Sequence
 
@@ -114,13 +113,3 @@ def test_bytes_that_are_no_message_are_refused_in_words() -> None:
         ):
             reader.read(encoded)
     assert reader.read(whole) == (0, 1.0)
-
-
-def test_what_pads_a_message_may_be_anything() -> None:
-    reader, whole = joint_states(), joints(1.0, math.inf)
-    assert reader.read(whole) == (0, 1.0)
-    calls = []
-    reader._choose = calls.append  # type: ignore[assignment]
-    padded = whole[:2] + b"\7\7" + whole[4:]
-    assert reader.read(padded) == (0, 1.0)
-    assert calls == [], "it was not parsed again"

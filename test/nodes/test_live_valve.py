@@ -190,13 +190,6 @@ def test_of_a_valve_that_something_else_may_move_the_model_alone_tells_whether_i
         assert not live.rests_until(START)
 
 
-def test_a_valve_at_rest_is_read_without_a_step() -> None:
-    live = LiveValve(default_valve())
-    live.restart(5, 5)
-    assert live.rests_until(9)
-    assert live.step_at_rest(9).stamp == 9
-
-
 def test_a_flood_while_the_clock_stands_still_fills_no_memory_and_ends_as_if_each_had_been_obeyed() -> None:
     live = with_gas(max_voltage=30.0)
     run(live, [0.0])

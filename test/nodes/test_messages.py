@@ -7,10 +7,8 @@ from typing import Any
 
 import pytest
 
-from valve_sim.files.parameter_files import default_valve
 from valve_sim.model import Phase, Reading
 from valve_sim.nodes.diagnostics import Level, Status
-from valve_sim.nodes.valve_parameters import table
 
 std_msgs = pytest.importorskip("std_msgs.msg", reason="there is no ROS 2 here: its messages cannot be imported")
 
@@ -19,7 +17,6 @@ from sensor_msgs.msg import BatteryState, FluidPressure, JointState  # noqa: E40
 from std_msgs.msg import Bool, Float64, UInt8  # noqa: E402
 
 from valve_sim.nodes import messages  # noqa: E402
-from valve_sim.nodes.wiring import descriptor  # noqa: E402
 
 READING = Reading(1.0, 2e-3, 1e-3, 0.5, 0.25, 0.8, 15.0, -3.0, Phase.OPEN, ())
 
@@ -87,16 +84,6 @@ def test_diagnostics_are_named_after_the_node() -> None:
     assert (found.name, found.hardware_id, found.level) == ("tank_1/valve: timing", "tank_1/valve", b"\x01")
     assert [(item.key, item.value) for item in found.values] == [("overruns", "3")]
     assert (array.header.stamp.sec, array.header.stamp.nanosec) == (2, 1)
-
-
-def test_descriptors_carry_unit_and_range() -> None:
-    entries = table(default_valve())
-    mass = descriptor(entries["valve.pilot_mass"])
-    assert mass.description == "[kg] mass that moves in Phase 1"
-    assert (mass.floating_point_range[0].from_value, mass.floating_point_range[0].to_value) == (0.0, 5.0)
-    bandwidth = descriptor(entries["effects.sensor_bandwidth.cutoff_frequency"])
-    assert bandwidth.floating_point_range[0].to_value == math.inf
-    assert not descriptor(entries["frame_id"]).floating_point_range
 
 
 @pytest.mark.parametrize("frame_id", ["", "tank", "a frame of thirty characters …"])

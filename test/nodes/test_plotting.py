@@ -87,8 +87,11 @@ def test_every_figure_of_a_stroke_is_a_series(probe: Probe, tmp_path: Path) -> N
     # Announced before all that the monitor answers by: once it has answered, it knows of this one too.
     heard: list[bytes] = []
     probe.node.create_subscription(DiagnosticArray, TOPIC, heard.append, 100, raw=True)
-    plant = PlantOnTopics(probe, LiveValve(seed=5, rate=5e3, jitter=0.0))
-    given = {"measured": "measured/joint_states", "use_sim_time": True, "max_rate": 1e5, "commissioning_strokes": FEW}
+    plant = PlantOnTopics(probe, LiveValve(seed=5, rate=2e3, jitter=0.0))
+    given = {
+        "measured": "measured/joint_states", "use_sim_time": True, "max_rate": 1e5, "commissioning_strokes": FEW,
+        "valve.pilot_mass": 0.109,  # as it is shipped: the others are then exact, and there is less to estimate
+    }  # fmt: skip
     with piped(tmp_path, ("-m", "valve_sim.nodes", "monitor_node"), **given) as process:
         plant.wait_for_monitor()
         reports = plant.strokes(FEW + 3)

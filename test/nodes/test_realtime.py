@@ -124,7 +124,10 @@ def test_requests_that_come_late_are_delivered_in_the_order_of_their_times() -> 
     assert got == [(3, "command"), (5, "reset"), (5, "command"), (7, "command"), (9, "valve")]
 
 
-def test_a_queue_that_nobody_empties_is_bounded_and_keeps_what_holds_in_the_end() -> None:
+def test_a_queue_that_nobody_empties_is_bounded_and_keeps_what_holds_in_the_end(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(TimedQueue, "MOST", 100)
     queue, got = TimedQueue(), []
     queue.post(0, "limit", lambda time, value: got.append(("limit", value)), 8.0)
     for time in range(1, 3 * TimedQueue.MOST):

@@ -440,6 +440,10 @@ def test_the_ticks_of_a_slow_clock_are_no_warning_of_a_busy_machine(ros: None, t
             assert simulated.until(lambda: "ready: " in process.output)
             now, ticks = 1_000_000_000, 0
 
+            def timings() -> list[str]:
+                said = [status for message in heard for status in message.status if status.name == "simulated: timing"]
+                return [status.message for status in said if "waiting" not in status.message]
+
             def tick() -> None:
                 nonlocal now, ticks
                 message = Clock()
@@ -447,14 +451,11 @@ def test_the_ticks_of_a_slow_clock_are_no_warning_of_a_busy_machine(ros: None, t
                 clock.publish(message)
                 now, ticks = now + TICK, ticks + 1
 
-            while ticks < 200:
+            while ticks < 80 or len(timings()) < 4:
                 # The next tick comes when the valve has caught up: a busy machine makes this slow and nothing else.
                 assert simulated.insist(tick, lambda: joints and now - nanoseconds(joints[-1]) <= TICK + PERIOD)
                 simulated.spin_for(0.02)
-            said = [status for message in heard for status in message.status if status.name == "simulated: timing"]
-            kept = [status.message for status in said if "waiting" not in status.message]
-            assert len(kept) > 2
-            assert not [message for message in kept if "too busy" in message]
+            assert not [message for message in timings() if "too busy" in message]
             assert "too busy" not in process.output
     finally:
         simulated.close()

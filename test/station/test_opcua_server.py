@@ -31,6 +31,14 @@ def served(tmp_path: Path) -> Iterator[Served]:
     server.kill()
 
 
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    """One server for the tests that show it nothing."""
+    server = Served(tmp_path_factory.mktemp("shared") / "server", free_port())
+    yield server
+    server.kill()
+
+
 def text(words: str) -> ua.Variant:
     return ua.Variant(ua.LocalizedText(words), ua.VariantType.LocalizedText)
 
@@ -143,32 +151,32 @@ def test_an_alarm_is_shelved_and_comes_back_and_a_refresh_on_the_type_shows_it(s
     assert not load_alarms(served.folder / "alarms.json")["/tank_1/valve"].is_shelved
 
 
-def test_who_is_not_trusted_is_refused_and_a_person_lets_him_in(served: Served, tmp_path: Path) -> None:
+def test_who_is_not_trusted_is_refused_and_a_person_lets_him_in(shared: Served, tmp_path: Path) -> None:
     stranger = Identity(tmp_path / "stranger")
 
     async def try_all() -> None:
         with pytest.raises(ua.UaError):
-            await connected(served.endpoint)  # without encryption
+            await connected(shared.endpoint)  # without encryption
         with pytest.raises(ua.uaerrors.BadCertificateUntrusted):
-            await connected(served.endpoint, stranger)
-        (rejected,) = (served.folder / "rejected").iterdir()
+            await connected(shared.endpoint, stranger)
+        (rejected,) = (shared.folder / "rejected").iterdir()
         assert rejected.read_bytes() == stranger.certificate.read_bytes()
-        rejected.rename(served.folder / "trusted" / rejected.name)
+        rejected.rename(shared.folder / "trusted" / rejected.name)
         with pytest.raises(ua.uaerrors.BadCertificateUriInvalid):
-            await connected(served.endpoint, stranger, uri="urn:somebody:else")
-        client = await connected(served.endpoint, stranger)
+            await connected(shared.endpoint, stranger, uri="urn:somebody:else")
+        client = await connected(shared.endpoint, stranger)
         assert await (await place(client, "Health.Level")).read_data_value(raise_on_bad_status=False)
         await client.disconnect()
 
     asyncio.run(try_all())
 
 
-def test_a_certificate_that_is_out_of_date_is_refused(served: Served, tmp_path: Path) -> None:
-    expired = Identity(tmp_path / "expired", is_expired=True).trusted_by(served.folder)
+def test_a_certificate_that_is_out_of_date_is_refused(shared: Served, tmp_path: Path) -> None:
+    expired = Identity(tmp_path / "expired", is_expired=True).trusted_by(shared.folder)
 
     async def try_it() -> None:
         with pytest.raises(ua.uaerrors.BadCertificateTimeInvalid):
-            await connected(served.endpoint, expired)
+            await connected(shared.endpoint, expired)
 
     asyncio.run(try_it())
 
@@ -264,11 +272,11 @@ def test_files_that_cannot_be_used_end_the_start_with_one_line(tmp_path: Path) -
     taken.kill()
 
 
-def test_the_model_is_written_for_engineering_tools(served: Served) -> None:
+def test_the_model_is_written_for_engineering_tools(shared: Served) -> None:
     from asyncua.common.xmlparser import XMLParser
 
     parser = XMLParser()
-    asyncio.run(parser.parse(str(served.folder / "valve_sim.NodeSet2.xml")))
+    asyncio.run(parser.parse(str(shared.folder / "valve_sim.NodeSet2.xml")))
     names = {node.browsename.partition(":")[2] for node in parser.get_node_datas()}
     assert {"ValveType", "T1", "SelfTest", "EngineeringUnits"} <= names | {"EngineeringUnits"}
 

@@ -204,12 +204,12 @@ def test_every_error_says_what_to_do_and_has_a_prior_with_its_slope(error: objec
         step = 1e-5
         slope = (own.log_prior(0.7 * math.exp(step), 2.0) - own.log_prior(0.7 * math.exp(-step), 2.0)) / (2.0 * step)
         assert own.log_slope(0.7, 2.0) == pytest.approx(slope, rel=1e-6)
-        sizes = np.geomspace(1e-6, 1e6, 200_001)
+        sizes = np.geomspace(1e-6, 1e6, 20_001)
         density = np.exp([own.log_prior(size, 1.0) for size in sizes.tolist()])
         assert np.trapezoid(density, sizes) == pytest.approx(1.0, abs=1e-3)
 
 
-@pytest.mark.parametrize("truth", [0.8, pytest.param(0.0, marks=pytest.mark.long)])
+@pytest.mark.parametrize("truth", [0.8, 0.0])
 def test_the_integral_over_a_size_is_that_of_a_fine_grid(truth: float) -> None:
     random = np.random.default_rng(6)
     columns, free = random.standard_normal((400, 5)), random.standard_normal(400)
@@ -219,7 +219,7 @@ def test_the_integral_over_a_size_is_that_of_a_fine_grid(truth: float) -> None:
     owners = np.array([-1, 0, 0, 0, 0, 0], dtype=np.intp)
     model = BySizes((Group(0, DRIFT, 1.0),), owners, information, whole.T @ left)
     best = model.most_probable(np.array([0.3]))
-    sizes = np.geomspace(1e-6, 1e3, 20_000)
+    sizes = np.geomspace(1e-6, 1e3, 3000)
     likelihood = np.exp([model.cost(best) - model.cost(np.array([size])) for size in sizes.tolist()])
     assert model.log_integral(best) == pytest.approx(math.log(np.trapezoid(likelihood, sizes)), abs=0.1)
 

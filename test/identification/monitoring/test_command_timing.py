@@ -48,8 +48,8 @@ def watched(
 
 @pytest.mark.parametrize("commissioned", [QUIET, pytest.param(BUSY, marks=pytest.mark.long)])
 def test_a_healthy_valve_on_a_busy_machine_is_not_accused(commissioned: float) -> None:
-    monitor, reports = watched(BUSY, 30, commissioned=commissioned)
-    assert len(reports) == 30
+    monitor, reports = watched(BUSY, 20, commissioned=commissioned)
+    assert len(reports) == 20
     assert monitor.stroke_monitor.alarms == 0
     assert not [report.record.fault for report in reports if report.record.fault]
     assert {report.state for report in reports[1:]} == {StrokeState.TIMING_UNCERTAIN}

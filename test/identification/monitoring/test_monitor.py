@@ -37,10 +37,10 @@ def strokes(
 
 @pytest.fixture(scope="module")
 def commissioned() -> tuple[Monitor, LiveValve]:
-    """A monitor that has seen 40 healthy strokes."""
+    """A monitor that has seen 30 healthy strokes."""
     monitor, valve = Monitor(EXACT_VALVE), LiveValve(7, HEALTHY, rate=5e3, offset=200e-6)
-    reports = strokes(monitor, valve, 41)
-    assert [report.state for report in reports] == 20 * [StrokeState.COMMISSIONING] + 20 * [StrokeState.WATCHING]
+    reports = strokes(monitor, valve, 31)
+    assert [report.state for report in reports] == 20 * [StrokeState.COMMISSIONING] + 10 * [StrokeState.WATCHING]
     return monitor, valve
 
 
@@ -51,14 +51,14 @@ def test_what_commissioning_finds_is_true(commissioned: tuple[Monitor, LiveValve
     assert abs(baseline.valve.parameters.pilot_damping - 1.3) < 4 * errors[0]
     assert abs(baseline.valve.parameters.main_damping - 3.5) < 4 * errors[1]
     assert baseline.noise.sigma == pytest.approx(1e-6, rel=0.05)
-    # The median of forty commands that are off by 50 µs each.
+    # The median of sixty commands that are off by 50 µs each.
     assert baseline.lateness == pytest.approx(200e-6, abs=30e-6)
     assert 25e-6 < baseline.scatter < 80e-6
     assert not commissioned[0].stroke_monitor.contradictions
 
 
 @pytest.mark.parametrize(
-    ("colour", "rate", "count"), [pytest.param(0.7, 20e3, 200, marks=pytest.mark.long), (0.0, 500.0, 60)]
+    ("colour", "rate", "count"), [pytest.param(0.7, 20e3, 200, marks=pytest.mark.long), (0.0, 500.0, 30)]
 )
 def test_a_healthy_valve_raises_no_alarm(colour: float, rate: float, count: int) -> None:
     monitor = Monitor(EXACT_VALVE, refit=False)
@@ -309,18 +309,18 @@ def test_memory_is_bounded() -> None:
     settings = MonitorSettings(settle=0.05)
     segmenter = StrokeSegmenter(EXACT_VALVE, settings)
     segmenter.command(0.0, 0.0)
-    for time in np.arange(0.0, 30.0, 2e-3).tolist():
+    for time in np.arange(0.0, 6.0, 2e-3).tolist():
         segmenter.measure(time, 0.0)
     assert segmenter.kept <= 2.0 * LEAD / 2e-3 + 2
-    segmenter.command(30.0, 9.0)
-    for time in np.arange(30.002, 90.0, 2e-3).tolist():
+    segmenter.command(6.0, 9.0)
+    for time in np.arange(6.002, 16.0, 2e-3).tolist():
         segmenter.measure(time, 1.23e-3)
     assert segmenter.kept < (2.0 * LEAD + 0.2) / 2e-3
     monitor, valve = (
-        Monitor(EXACT_VALVE, MonitorSettings(diagnosis_strokes=4), refit=False),
+        Monitor(EXACT_VALVE, MonitorSettings(commissioning_strokes=8, diagnosis_strokes=4), refit=False),
         LiveValve(2, HEALTHY, rate=1e3),
     )
-    strokes(monitor, valve, 27)
+    strokes(monitor, valve, 15)
     assert len(monitor.stroke_monitor.evidence()) <= 4
 
 

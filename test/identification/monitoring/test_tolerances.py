@@ -29,7 +29,7 @@ def declared(tolerances):
 @pytest.fixture(scope="module")
 def commissioned():
     """A monitor that has seen 20 strokes, and one more of each."""
-    monitor, valve = Monitor(declared(TOLERANCES), refit=False), LiveValve(7, TRUTH, offset=200e-6)
+    monitor, valve = Monitor(declared(TOLERANCES), refit=False), LiveValve(7, TRUTH, rate=5e3, offset=200e-6)
     reports = [report for _ in range(24) for report in feed(monitor, valve.stroke())]
     return monitor, reports
 

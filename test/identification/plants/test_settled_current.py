@@ -29,8 +29,8 @@ def current(recorder: Recorder, heating: float = 0.0) -> tuple[Channel, np.ndarr
     return channels_of(0, trace)[1], train_profile().times
 
 
-@pytest.mark.parametrize("late", [-1e-3, 0.0, 50e-6, 1e-3, 3e-3])
-@pytest.mark.parametrize("scatter", [0.0, 50e-6, 0.5e-3])
+@pytest.mark.parametrize("late", [-1e-3, 0.0, 3e-3])
+@pytest.mark.parametrize("scatter", [0.0, 0.5e-3])
 def test_stamps_that_come_late_are_no_noise_of_the_current(late: float, scatter: float) -> None:
     recorder = Recorder(with_current=True, current_noise=NOISE, clock_offset=late, command_jitter=scatter)
     assert estimate_noise([current(recorder)[0]]).sigma == pytest.approx(NOISE, rel=0.05)

@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 
 import pytest
+from plants.recording import Recorder
 
 from identification.recordings import friction_found, recorded
 from valve_sim.files.parameter_files import default_valve
@@ -124,7 +125,7 @@ def test_nothing_is_said_to_be_certain(probability: float, words: str) -> None:
 @pytest.mark.long
 def test_what_is_off_is_said_beside_what_was_declared() -> None:
     valve = default_valve().exact()
-    trace = recorded(effects={"coulomb_friction": {"force": 0.1}})
+    trace = recorded(Recorder(quantisation=0.1e-6), effects={"coulomb_friction": {"force": 0.1}})
     declared = replace(valve, effects={"coulomb_friction": {"force": 0.03}})
     grown = diagnose([trace], [], declared)
     assert grown.verdict.effects == ("coulomb_friction",)

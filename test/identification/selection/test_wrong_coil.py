@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
-
 import pytest
 from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
 from plants.recording import Recorder, record, train_profile
@@ -24,14 +22,12 @@ def declared_within(**tolerances: float) -> Valve:
     return declared_valve(CAMPAIGN_VALVE, tolerances)
 
 
-@cache
-def verdict(tolerances_off: float, *, is_whole: bool = False) -> Verdict:
-    """Of few effects, or of the whole catalogue."""
+def verdict(tolerances_off: float) -> Verdict:
+    """Of few effects and all declared values."""
     truth = DeclaredPlant(parameters={**CAMPAIGN_VALVE, "coil_time_constant": DECLARED + tolerances_off * SIGMA})
     trace = as_trace(record(truth, train_profile(), Recorder(), 5), "train")
     valve = declared_within(coil_time_constant=SIGMA)
-    plant = ValvePlant([trace], valve) if is_whole else Short([trace], valve, [LAG, "drive_gain"])
-    return begin(plant).name().verdict
+    return begin(Short([trace], valve, [LAG, "drive_gain"])).name().verdict
 
 
 def named(found: Verdict) -> set[str]:
@@ -48,7 +44,7 @@ def test_a_coil_that_is_later_is_a_lag_and_one_that_is_earlier_has_a_wrong_value
 
 @pytest.mark.parametrize("tolerances_off", [-1.5, 1.5])
 def test_a_value_within_its_tolerance_is_not_named(tolerances_off: float) -> None:
-    assert verdict(tolerances_off, is_whole=True).kind == "none"
+    assert verdict(tolerances_off).kind == "none"
 
 
 def test_freed_by_hand_the_coil_time_constant_has_its_natural_range() -> None:

@@ -11,7 +11,7 @@ from plants.recording import Recorder, Recording, record, train_profile
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.run import diagnose
 from valve_sim.identification.reporting.validation import validation_json, validation_junit, validation_text
-from valve_sim.identification.validation.replay import validate
+from valve_sim.identification.validation.replay import Validation, validate
 from valve_sim.model import EXACT, Drive, Tolerances, ValveError
 from valve_sim.traces import Trace
 
@@ -19,8 +19,8 @@ EXACT_VALVE = default_valve().exact()
 
 
 def measured(seed: int = 3, **changes: float) -> Recording:
-    """Eight strokes of the independent plant, 20 kHz, 1 µm noise."""
-    return record(DeclaredPlant(), train_profile(), Recorder(**changes), seed)
+    """Eight strokes of the independent plant, 10 kHz, 1 µm noise."""
+    return record(DeclaredPlant(), train_profile(), Recorder(sample_rate=10e3, **changes), seed)
 
 
 def as_trace(recording: Recording) -> Trace:
@@ -38,17 +38,28 @@ def trace() -> Trace:
     return as_trace(measured())
 
 
-def test_declared_valve_passes_at_three_times_the_noise(trace: Trace):
-    result = validate([trace], EXACT_VALVE)
-    replay = result.replays[0]
-    assert result.passed
+@pytest.fixture(scope="module")
+def good(trace: Trace) -> Validation:
+    """Of the valve that is declared."""
+    return validate([trace], EXACT_VALVE)
+
+
+@pytest.fixture(scope="module")
+def bad(trace: Trace) -> Validation:
+    """Of a valve with a fifth more damping, against two recordings."""
+    return validate([trace, trace], EXACT_VALVE.with_values(main_damping=4.8))
+
+
+def test_declared_valve_passes_at_three_times_the_noise(good: Validation):
+    replay = good.replays[0]
+    assert good.passed
     assert replay.noise == pytest.approx(1e-6, rel=0.05)
     assert replay.tolerance == pytest.approx(3e-6, rel=0.05)
     assert replay.errors.rmse == pytest.approx(1e-6, rel=0.05)
     assert len(replay.strokes) == 16
 
 
-@pytest.mark.parametrize("change", [{"main_damping": 4.8}, {"main_damping": 3.2}, {"a0": 3.2}, {"stroke": 1.235e-3}])
+@pytest.mark.parametrize("change", [{"main_damping": 3.2}, {"a0": 3.2}, {"stroke": 1.235e-3}])
 def test_another_valve_fails(trace: Trace, change: dict[str, float]):
     result = validate([trace], EXACT_VALVE.with_values(**change))
     # The error of each command's stamp, free within its prior, can put most openings right, but not all strokes.
@@ -56,7 +67,7 @@ def test_another_valve_fails(trace: Trace, change: dict[str, float]):
 
 
 def test_a_long_rest_does_not_hide_a_wrong_motion(trace: Trace):
-    rest = trace.times[-1] + np.arange(1, 100_001) / 20e3
+    rest = trace.times[-1] + np.arange(1, 50_001) / 10e3
     noise = 1e-6 * np.random.default_rng(0).standard_normal((2, len(rest)))
     padded = replace(
         trace,
@@ -86,9 +97,9 @@ def test_errors_of_the_stamps_within_their_prior_are_estimated_and_forgiven():
     assert result.replays[0].errors.rmse == pytest.approx(1e-6, rel=0.05)
 
 
-def test_tolerances_widen_the_band_and_move_nothing(trace: Trace):
+def test_tolerances_widen_the_band_and_move_nothing(trace: Trace, good: Validation):
     spread = replace(EXACT_VALVE, tolerances=Tolerances({"spring_preload": 0.15}))
-    exact, wide = (validate([trace], valve).replays[0] for valve in (EXACT_VALVE, spread))
+    exact, wide = good.replays[0], validate([trace], spread).replays[0]
     np.testing.assert_array_equal(wide.predicted, exact.predicted)
     assert wide.errors.tolerance > 1.5 * exact.errors.tolerance
     off = spread.with_values(spring_preload=1.06 * EXACT_VALVE.parameters.spring_preload)
@@ -106,8 +117,8 @@ def test_the_corrected_valve_has_the_error_that_the_diagnosis_predicts_of_held_o
     assert replayed.errors.rmse == pytest.approx(found.after.holdout_rmse, rel=0.01)
 
 
-def test_arrivals_agree_with_the_model_within_their_error(trace: Trace):
-    arrivals = [arrival for stroke in validate([trace], EXACT_VALVE).replays[0].strokes for arrival in stroke.arrivals]
+def test_arrivals_agree_with_the_model_within_their_error(good: Validation):
+    arrivals = [arrival for stroke in good.replays[0].strokes for arrival in stroke.arrivals]
     kinds = {arrival.kind for arrival in arrivals}
     assert kinds == {"pilot_reaches_main", "reaches_stop", "main_seats", "reaches_seat"}
     deviations = [(arrival.measured - arrival.model) / arrival.uncertainty for arrival in arrivals]
@@ -125,9 +136,7 @@ def test_tolerance_without_sense_is_refused(trace: Trace, tolerance: float):
         validate([trace], EXACT_VALVE, tolerance)
 
 
-def test_junit_has_a_case_for_each_stroke_and_counts_failures(trace: Trace):
-    good = validate([trace], EXACT_VALVE)
-    bad = validate([trace, trace], EXACT_VALVE.with_values(main_damping=4.8))
+def test_junit_has_a_case_for_each_stroke_and_counts_failures(good: Validation, bad: Validation):
     for result, suites in ((good, 1), (bad, 2)):
         root = ElementTree.fromstring(validation_junit(result).encode())
         assert [suite.tag for suite in root] == ["testsuite"] * suites
@@ -139,11 +148,11 @@ def test_junit_has_a_case_for_each_stroke_and_counts_failures(trace: Trace):
         assert (int(root.attrib["failures"]) == 0) == result.passed
 
 
-def test_report_and_text_say_the_same(trace: Trace):
-    result = validate([trace], EXACT_VALVE.with_values(main_damping=4.8))
-    report = validation_json(result)
+def test_report_and_text_say_the_same(bad: Validation):
+    report = validation_json(bad)
     assert report["passed"] is False
-    text = validation_text(result)
-    failed = [stroke["passed"] for stroke in report["recordings"][0]["strokes"]].count(False)
-    assert failed == text.count("  outside") - 1  # the recording as a whole is outside too
+    text = validation_text(bad)
+    strokes = [stroke for recording in report["recordings"] for stroke in recording["strokes"]]
+    failed = [stroke["passed"] for stroke in strokes].count(False)
+    assert failed == text.count("  outside") - 2  # each recording as a whole is outside too
     assert text.endswith("FAILED")

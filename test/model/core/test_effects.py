@@ -7,31 +7,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from model.core.cases import CALIBRATED, STROKE
-from model.random_valves import RANGES, any_valves
+from model.random_valves import RANGES
 from valve_sim.model import CATALOGUE, Effect, Valve, simulate
 from valve_sim.model.core.symbols import Motion, Own
 from valve_sim.model.core.tracer import Node, exp, maximum, sin
-from valve_sim.model.drives import Drive
-from valve_sim.model.errors import ParameterError, SimulationError
+from valve_sim.model.errors import ParameterError
 from valve_sim.model.parameters import Parameter
 from valve_sim.model.runs import Directions, run_sloped
 
 TIMES = np.linspace(1e-3, 0.03, 80)
 SHIPPED = {name: entry for name, entry in CATALOGUE.items() if entry.is_of(has_gas=False)}
-
-
-@pytest.mark.parametrize("name", SHIPPED)
-def test_every_entry_is_whole(name: str) -> None:
-    entry = SHIPPED[name]
-    assert entry.name == name and entry.title and entry.summary and entry.source
-    assert entry.on_a_real_valve.endswith(".") and entry.what_to_do.endswith(".")
-    assert set(entry.confused_with) <= set(SHIPPED)
-    assert all(p.unit and p.description for p in entry.parameters)
-    assert entry.force or entry.friction or entry.square or entry.changes
 
 
 def valve_of(effects: dict[str, Any], **values: Any) -> Valve:
@@ -115,42 +102,6 @@ def test_an_effect_of_one_s_own_gets_series_events_and_derivatives() -> None:
     found = simulate(valve, STROKE, TIMES)
     assert found.pilot_position == pytest.approx(exact.pilot_position, abs=2e-12)
     check_derivatives(valve, "catch", {name: 1e-5 * size for name, size in values.items()})
-
-
-def valves(most_effects: int) -> st.SearchStrategy[Valve]:
-    """Valves with effects of the catalogue as it is shipped."""
-    return any_valves(sorted(SHIPPED), most_effects)
-
-
-drives = st.lists(st.tuples(st.floats(0.0, 0.02), st.floats(-1e3, 1e3) | st.sampled_from((0.0, 9.0, -9.0, 30.0))),
-                  min_size=1, max_size=5).map(sorted)  # fmt: skip
-
-
-def ends_inside(valve: Valve, commands: list[tuple[float, float]]) -> None:
-    times, volts = zip(*commands, strict=True)
-    try:
-        response = simulate(valve, Drive.of(times, volts), np.linspace(0.0, 0.02, 41))
-    except SimulationError as error:
-        # What explodes does so by its parameters; it is said in one line, and never by a hang.
-        assert "\n" not in str(error)
-        return
-    assert np.isfinite(response.pilot_position).all() and np.isfinite(response.coil_current).all()
-    if not {"sensor_gain", "stop_compliance"} & set(valve.effects):
-        stroke = valve.parameters.stroke + valve.effects.get("stroke_offset", {}).get("offset", 0.0)
-        assert response.pilot_position.min() >= -1e-9 and response.pilot_position.max() <= stroke + 1e-9
-
-
-@settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
-@given(valves(1), drives)
-def test_any_accepted_valve_ends_finite_and_inside(valve: Valve, commands: list[tuple[float, float]]) -> None:
-    ends_inside(valve, commands)
-
-
-@pytest.mark.long
-@settings(max_examples=200, deadline=None, suppress_health_check=list(HealthCheck))
-@given(valves(3), drives)
-def test_many_accepted_valves_end_finite_and_inside(valve: Valve, commands: list[tuple[float, float]]) -> None:
-    ends_inside(valve, commands)
 
 
 def test_the_sizes_of_the_random_valves_are_of_the_catalogue() -> None:
