@@ -111,7 +111,7 @@ def _channels() -> Iterator[str]:
     yield f"Roles: {'; '.join(f'{role}, {words}' for role, words in ROLES.items())}."
     yield (
         f"A valve is judged by the first of {', '.join(f'`{key}`' for key in JUDGED)} that was recorded. Where the "
-        "median of a channel lies beyond its range, `valve-sim info` has a note, and so has every report."
+        "median of a channel lies beyond its range, `valve-sim info` has a note."
     )
     yield "## Where each is in a bag"
     yield (
