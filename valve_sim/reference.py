@@ -87,7 +87,15 @@ def _channels() -> Iterator[str]:
         "[channels.py](../../valve_sim/files/channels.py). [How to add one](../how_to/your_own_sensor.md)."
     )
     yield _table(
-        ("key of a map", "attribute of a `Trace`", "column of a CSV", "units, the first inside", "range", "what"),
+        (
+            "key of a map",
+            "attribute of a `Trace`",
+            "column of a CSV",
+            "units, the first inside",
+            "range",
+            "role",
+            "what",
+        ),
         [
             (
                 f"`{key}`",
@@ -95,22 +103,16 @@ def _channels() -> Iterator[str]:
                 f"`{OWN_COLUMNS[key]}`" if key in OWN_COLUMNS else "–",
                 ", ".join(UNITS[channel.dimension]),
                 _bounds(channel.bounds),
+                channel.role,
                 channel.meaning,
             )
             for key, channel in CHANNELS.items()
         ],
     )
-    yield "## What each is to a model"
-    yield _table(
-        ("role", "what it is", "channels"),
-        [
-            (role, words, ", ".join(f"`{key}`" for key, channel in CHANNELS.items() if channel.role == role))
-            for role, words in ROLES.items()
-        ],
-    )
+    yield f"Roles: {'; '.join(f'{role}, {words}' for role, words in ROLES.items())}."
     yield (
         f"A valve is judged by the first of {', '.join(f'`{key}`' for key in JUDGED)} that was recorded. Where the "
-        "median of a channel lies beyond its range, `valve-sim info` has a note, and so has every report."
+        "median of a channel lies beyond its range, `valve-sim info` has a note."
     )
     yield "## Where each is in a bag"
     yield (

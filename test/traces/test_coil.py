@@ -13,7 +13,7 @@ from valve_sim.files.recording_map import map_from
 from valve_sim.model import Drive
 from valve_sim.traces import Signal, Trace, TraceError, describe, find_stroke_parts, read_trace, write_bag
 from valve_sim.traces.cdr import typestore
-from valve_sim.traces.command_dates import dates_by_voltage
+from valve_sim.traces.command_times import dates_by_voltage
 from valve_sim.traces.measured_input import measured_input
 
 from .bag_makers import COMMANDS, EPOCH, Message, clean_trace, float_message, good_messages, header, make_mcap

@@ -90,7 +90,7 @@ ROLES: Final[Mapping[Role, str]] = {
     "command": "what is commanded",
     "input": "drives the model in place of what is commanded or declared",
     "response": "what the valve does",
-    "condition": "kept and shown; takes part in no fit",
+    "condition": "kept and shown, but not fitted",
 }
 
 

@@ -14,8 +14,7 @@ from valve_sim.model.drives import Drive
 from valve_sim.signals.long_columns import any_in
 from valve_sim.signals.voltage_steps import NoStepError, find_steps
 from valve_sim.traces.clocks import SECOND, clock_offset, seconds_since
-from valve_sim.traces.command_dates import dates_by_voltage
-from valve_sim.traces.command_log import Commands, commands_by_logs
+from valve_sim.traces.command_times import Commands, commands_by_logs, dates_by_voltage
 from valve_sim.traces.errors import TraceError
 from valve_sim.traces.layout import (
     INPUTS,

@@ -15,7 +15,7 @@ from valve_sim.identification.monitoring.monitor import Monitor
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
 from valve_sim.traces import Signal
-from valve_sim.traces.command_dates import within_steps
+from valve_sim.traces.command_times import within_steps
 
 RATE = 500.0
 """Hz, of a station's valves."""

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from valve_sim.traces import Trace, read_trace
-from valve_sim.traces.command_log import Commands, commands_by_logs
+from valve_sim.traces.command_times import Commands, commands_by_logs
 
 from .bag_makers import EPOCH, JOINT_STATE, STORE, Message, float_message, good_messages, header, make_mcap
 

@@ -1,26 +1,34 @@
-"""When commands took effect, by a voltage that was measured with stamps beside them.
+"""When commands were sent, by the log of their sender, and when they took effect, by a measured voltage.
 
-A command without a stamp is dated by its arrival at the recorder, on a busy machine milliseconds after the voltage has
-changed.
+A command is a std_msgs/Float64, which has no stamp: it is dated by its arrival at the recorder, on a busy machine
+milliseconds late. `command_profile` logs stamps beside its commands, and a voltage may have been measured with stamps.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from valve_sim.signals.motion import sample_noise
 from valve_sim.signals.voltage_steps import UNIFORM
+from valve_sim.traces.clocks import SECOND
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping
+
     from numpy.typing import NDArray
 
     from valve_sim.files.channels import Signal
 
     Array = NDArray[np.float64]
 
+LOG: Final = "commanded"
+LOG_TYPE: Final = "sensor_msgs/msg/BatteryState"
+LONGEST_WAY: Final = SECOND
+"""ns between the stamp of a command and its recording; beyond it, it is another command or another clock."""
+SLACK: Final = 3
+"""Commands by which a recording may lag behind the log."""
 SEEN: Final = 10.0
 """Standard deviations of the voltage's noise that a step has at least, to be dated."""
 STAMP_ERROR: Final = 50e-6
@@ -29,6 +37,53 @@ GAP: Final = 10.0
 """Usual intervals between samples of the voltage: a longer one hides a step, which may have been anywhere in it."""
 EXACT: Final = 1e-8
 """s: what is known better is taken as exact."""
+
+
+class Commands(NamedTuple):
+    """Commands from one source: times in ns, ascending, and volts, both of shape (n,)."""
+
+    times: NDArray[np.int64]
+    volts: NDArray[np.float64]
+
+
+def logs_among(types: Mapping[str, str]) -> tuple[str, ...]:
+    """Topics that log commands, of whichever valve."""
+    return tuple(sorted(topic for topic, kind in types.items() if kind == LOG_TYPE and topic.endswith(f"/{LOG}")))
+
+
+def commands_by_logs(recorded: Commands, logs: Iterable[Commands]) -> Commands | None:
+    """The commands as they were sent, by the log of their sender.
+
+    A log is aligned with the commands so that all voltages agree. If several alignments do, as with equal pulses, or
+    several logs, the one that covers most commands is taken, then the one with the shortest delay from stamp to
+    recording. Commands before and after the log stay as they were recorded; those that only the log has, because the
+    recorder started late or ended early, are taken from it.
+
+    Args:
+        recorded: the commands, by the times of their recording.
+        logs: the same by their stamps, of the same clock; of other valves, too.
+
+    Returns:
+        the commands, shape (n,) or longer; None if no log matches these commands.
+    """
+    fits = [fit for log in logs for fit in _fits(recorded, log)]
+    return min(fits, key=lambda fit: fit[:2])[2] if fits else None
+
+
+def _fits(recorded: Commands, log: Commands) -> Iterator[tuple[int, int, Commands]]:
+    """Each alignment of a log: how many commands it lacks, the usual delay to the recording, ns, and the result."""
+    count = len(recorded.times)
+    beside = np.searchsorted(log.times, recorded.times, side="right") - 1 - np.arange(count)
+    for shift in range(int(beside.min()) - SLACK, int(beside.max()) + SLACK + 1):
+        begin, end = max(0, -shift), min(count, len(log.times) - shift)
+        mine, its = slice(begin, end), slice(begin + shift, end + shift)
+        if begin >= end or not np.array_equal(recorded.volts[mine], log.volts[its]):
+            continue
+        way = int(np.median(np.abs(recorded.times[mine] - log.times[its])))
+        times = np.concatenate([recorded.times[:begin], log.times, recorded.times[end:]])
+        volts = np.concatenate([recorded.volts[:begin], log.volts, recorded.volts[end:]])
+        if way < LONGEST_WAY and (np.diff(times) >= 0).all():
+            yield count - (end - begin), way, Commands(times, volts)
 
 
 class Dates(NamedTuple):
