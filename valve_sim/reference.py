@@ -15,6 +15,7 @@ from valve_sim.files.channels import CHANNELS, COIL, JUDGED, LIVE_COIL, ROLES, U
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.fleet.columns import BEFORE, SCHEMA, columns, followed, quantities
 from valve_sim.model import CATALOGUE
+from valve_sim.model.core.latex import equations_without_effects, formulas_of
 from valve_sim.model.parameters import Parameter
 from valve_sim.nodes import profile_playing, settings, topics
 from valve_sim.nodes.parameters import NodeParameter
@@ -69,7 +70,7 @@ def _topics() -> Iterator[str]:
         "the station's nodes `<valve>` is each of their parameter `valves`, and `<monitor>` of `monitors`. `<end>` is "
         "inlet_pressure and demand_pressure: "
         "beside a simulated valve (`<sensors>` is `<valve>`) those that it obeys are heard, beside another its "
-        "sensors, and where neither comes what the valve is told. What is read from a bag is on the page of "
+        "sensors, and where neither comes the pressures that are sent to it. What is read from a bag is on the page of "
         "[channels](channels.md)."
     )
 
@@ -190,6 +191,16 @@ def _parameters(entries: Mapping[str, NodeParameter]) -> str:
 
 def _effects() -> Iterator[str]:
     yield "Each is off unless a parameter file has it under `effects:`. [How to add one](../how_to/your_own_effect.md)."
+    yield (
+        "Formulas are printed from the expressions that the simulator itself is compiled from, with the symbols of "
+        "[Model and events](../theory/model.md): $F$ is a force that is added, + opens, $F_f$ the level of a dry "
+        "friction, and an arrow shows what becomes of a declared value. Parameters of the effect go by their names. "
+        "An effect without a formula here acts on a sensor (11), on a contact (13), (15), on the current that pulls "
+        "(8), or on the [gas](../gas.md#equations), or is a [smooth curve](../theory/selection.md#11-smooth-curves)."
+    )
+    yield "Without effects a valve without gas moves by these equations, in Phase 1, in Phase 2, and its current $u$:"
+    for formula in equations_without_effects():
+        yield f"$$\n{formula}\n$$"
     for effect in CATALOGUE.values():
         yield f"## {effect.name}"
         words = effect.summary[0].upper() + effect.summary[1:] + f". Source: {effect.source}."
@@ -200,6 +211,8 @@ def _effects() -> Iterator[str]:
         if not effect.named:
             words += " Never claimed as a name."
         yield words
+        for formula in formulas_of(effect):
+            yield f"$$\n{formula}\n$$"
         rows = [
             (f"`{p.name}`", p.unit, p.description, f"{p.lower:g} … {p.upper:g}", _off(p))
             for p in effect.parameters

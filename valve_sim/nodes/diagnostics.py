@@ -18,7 +18,7 @@ LONGEST_LATENESS: Final = 0.01
 
 
 class Level(enum.IntEnum):
-    """As in diagnostic_msgs/DiagnosticStatus."""
+    """The level of a status, with the numbers of diagnostic_msgs/DiagnosticStatus."""
 
     OK = 0
     WARN = 1

@@ -69,7 +69,7 @@ class NodeParameter(NamedTuple):
 
     @property
     def type(self) -> str:
-        """As `ros2 param describe` names it."""
+        """The type, in the words of `ros2 param describe`."""
         if isinstance(self.default, Sequence) and not isinstance(self.default, str):
             return f"{_TYPES[type(self.default[0])]} array"
         return _TYPES[type(self.default)]
