@@ -21,7 +21,7 @@ from valve_sim.nodes import profile_playing, settings, topics
 from valve_sim.nodes.parameters import NodeParameter
 from valve_sim.nodes.topics import Topic
 from valve_sim.nodes.valve_parameters import table
-from valve_sim.station import archive_tables, dispenser_tables, opcua_tables, plc_tables
+from valve_sim.station import tables as station
 from valve_sim.traces.table_reading import OWN_COLUMNS
 
 _TOPICS: Final = {
@@ -29,16 +29,16 @@ _TOPICS: Final = {
     "identification_node": topics.IDENTIFICATION,
     "monitor_node": topics.MONITOR,
     "command_profile": topics.PROFILE,
-    "dispenser_node": dispenser_tables.TOPICS,
-    "opcua_node": opcua_tables.TOPICS,
-    "plc_node": plc_tables.TOPICS,
-    "archive_node": archive_tables.TOPICS,
+    "dispenser_node": station.DISPENSER_TOPICS,
+    "opcua_node": station.OPCUA_TOPICS,
+    "plc_node": station.PLC_TOPICS,
+    "archive_node": station.ARCHIVE_TOPICS,
 }
 _STATION: Final = {
-    "dispenser_node": dispenser_tables.PARAMETERS,
-    "opcua_node": opcua_tables.PARAMETERS,
-    "plc_node": plc_tables.PARAMETERS,
-    "archive_node": archive_tables.PARAMETERS,
+    "dispenser_node": station.DISPENSER,
+    "opcua_node": station.OPCUA,
+    "plc_node": station.PLC,
+    "archive_node": station.ARCHIVE,
 }
 _LONGEST_TEXT: Final = 60
 _OF_TOPICS: Final = ("name", "type", "direction", "QoS", "unit", "what")
@@ -67,8 +67,8 @@ def _topics() -> Iterator[str]:
             yield _table(_OF_TOPICS, [_topic(entry) for entry in topics.GAS])
     yield (
         "`<valve>` and `<measured>` are parameters of monitor_node; `<sensors>` is where `<measured>` is. Of "
-        "the station's nodes `<valve>` is each of their parameter `valves`, and `<monitor>` of `monitors`. `<end>` is "
-        "inlet_pressure and demand_pressure: "
+        "the station's nodes `<valve>` is each of their parameter `valves`, and `<monitor>` of `monitors`; "
+        "`<alarms>` is one of archive_node. `<end>` is inlet_pressure and demand_pressure: "
         "beside a simulated valve (`<sensors>` is `<valve>`) those that it obeys are heard, beside another its "
         "sensors, and where neither comes the pressures that are sent to it. What is read from a bag is on the page of "
         "[channels](channels.md)."
