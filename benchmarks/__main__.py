@@ -48,7 +48,7 @@ GROUPS: Final[dict[str, tuple[Benchmark, ...]]] = {
     "Fit and diagnosis, by independent plants": (
         Benchmark("coverage", "", "minutes", "--seeds 200"),
         Benchmark("coil_errors", "", "a minute"),
-        Benchmark("campaign", "", "minutes", "--slice"),
+        Benchmark("campaign", "", "ten minutes", "--slice"),
         Benchmark("campaign", "", "up to 60 s a case, 50 cases", "--only hard --seeds 1"),
         Benchmark("campaign", "", "up to 2 minutes a case, 6 a seed", "--only coil_none,coil_single"),
         Benchmark("campaign", "", "up to 2 minutes a case, 4 a seed", "--only outlet_none,outlet_single"),
@@ -56,13 +56,13 @@ GROUPS: Final[dict[str, tuple[Benchmark, ...]]] = {
     ),
     "Recordings of others": (Benchmark("real_recordings", "the published measurements", "minutes"),),
     "Machines of plant files": (
-        Benchmark("actuators", "", "minutes", "200 11"),
+        Benchmark("campaign", "", "up to 10 s a case, 200 a seed", "--only actuator --seeds 1"),
         Benchmark("plant_limits", "", "minutes"),
     ),
     "Monitor": (
         Benchmark("monitoring", "", "hours", "healthy growth --strokes 10000 --seeds 10"),
         Benchmark("monitoring", "", "hours", "laboratory"),
-        Benchmark("monitoring", "", "minutes", "coil gas --seeds 12"),
+        Benchmark("monitoring", "", "half an hour", "coil gas --seeds 12"),
         Benchmark("monitoring", "", "an hour", "sweep"),
         Benchmark("monitoring", ROS, "hours", "topics --strokes 10000 --seeds 10"),
     ),

@@ -13,7 +13,6 @@ derivative is off by 1e-6, or gas is off by more than 5 µs + 0.1 % or 0.2 % of 
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Iterable
 from dataclasses import replace
@@ -28,9 +27,8 @@ from model.gas.cases import gas_valve
 from model.random_valves import TIMES, random_valve
 from model.reference import reference
 from plants.gas import GasValve
-from rich.console import Console
-from rich.table import Table
 
+from benchmarks.common import parser, say, show
 from valve_sim.model import TOLERANCE, Drive, EventKind, Response, Valve, simulate
 
 FINEST: Final = 3e-13
@@ -46,12 +44,11 @@ def summary(words: str, errors: Iterable[float], most: float, trouble: list[int]
     off = np.array([*errors])
     middle, tail, worst = (float(np.quantile(off, share)) for share in (0.5, 0.99, 1.0))
     is_good = worst <= most and not trouble
-    print(
-        f"{'ok   ' if is_good else 'SHORT'} {len(off)} {words}: median {middle:.1e}, 99 of 100 {tail:.1e}, largest "
-        f"{worst:.1e} (at most {most:g}); other events: seeds {trouble or 'none'}",
-        flush=True,
+    return say(
+        is_good,
+        f"{len(off)} {words}: median {middle:.1e}, 99 of 100 {tail:.1e}, largest {worst:.1e} (at most {most:g}); "
+        f"other events: seeds {trouble or 'none'}",
     )
-    return is_good
 
 
 def valves(sets: int, tolerance: float) -> bool:
@@ -182,11 +179,9 @@ def compare(case: Case) -> tuple[bool, list[str]]:
 
 def gas(sets: int, tolerance: float) -> bool:
     """The first of `CASES` beside the independent plant."""
-    table = Table("case", "events", "of motion", "late, µs", "pressure, ppm", "of the tolerance, ns", "within")
     rows = [compare(case) for case in CASES[:sets]]
-    for _, row in rows:
-        table.add_row(*row)
-    Console(width=140).print(table)
+    headings = ("case", "events", "of motion", "late, µs", "pressure, ppm", "of the tolerance, ns", "within")
+    show("valves with gas", headings, [row for _, row in rows])
     return all(is_good for is_good, _ in rows)
 
 
@@ -198,13 +193,13 @@ PARTS: Final = {
 
 def main() -> int:
     """Print the figures; 1 if one is off by more than wanted."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("parts", nargs="*", metavar="PART", help=f"{', '.join(PARTS)} (default: all)")
-    parser.add_argument("--sets", type=int, help="at most so many of each")
-    parser.add_argument("--tolerance", type=float, default=TOLERANCE, help="of the events of valves without gas")
-    options = parser.parse_args()
+    known = parser("accuracy", __doc__)
+    known.add_argument("parts", nargs="*", metavar="PART", help=f"{', '.join(PARTS)} (default: all)")
+    known.add_argument("--sets", type=int, help="at most so many of each")
+    known.add_argument("--tolerance", type=float, default=TOLERANCE, help="of the events of valves without gas")
+    options = known.parse_args()
     if unknown := [name for name in options.parts if name not in PARTS]:
-        parser.error(f"{unknown[0]}: expected some of {', '.join(PARTS)}")
+        known.error(f"{unknown[0]}: expected some of {', '.join(PARTS)}")
     chosen = {name: PARTS[name] for name in options.parts or PARTS}
     most = max(count for _, count in PARTS.values()) if options.sets is None else options.sets
     return 0 if all([measure(min(most, count), options.tolerance) for measure, count in chosen.values()]) else 1

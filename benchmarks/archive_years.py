@@ -10,7 +10,6 @@ costs the same.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import os
 import tempfile
@@ -26,6 +25,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from benchmarks.common import parser
 from valve_sim.records.archive import Archive
 from valve_sim.records.story import tell
 
@@ -96,12 +96,12 @@ def timed(words: str) -> Iterator[None]:
 
 def main() -> None:
     """Write, repeat, ask."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--folder", type=Path, default=None)
-    parser.add_argument("--years", type=int, default=10)
-    parser.add_argument("--every", type=float, default=36.0, help="s between strokes")
-    parser.add_argument("--durable", action="store_true", help="flush to the disk, as the node does")
-    given = parser.parse_args()
+    known = parser("archive_years", __doc__)
+    known.add_argument("--folder", type=Path, default=None)
+    known.add_argument("--years", type=int, default=10)
+    known.add_argument("--every", type=float, default=36.0, help="s between strokes")
+    known.add_argument("--durable", action="store_true", help="flush to the disk, as the node does")
+    given = known.parse_args()
     with tempfile.TemporaryDirectory() as made:
         folder = given.folder or Path(made)
         flush = contextlib.nullcontext() if given.durable else mock.patch.object(os, "fsync", lambda number: None)

@@ -7,13 +7,11 @@ They are those of a valve of exactly this form: an upper bound of what a real on
 
 from __future__ import annotations
 
-import argparse
 from typing import Final, NamedTuple
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
+from benchmarks.common import parser, show
 from valve_sim.files.parameter_files import load_valve
 from valve_sim.files.resources import config_path
 from valve_sim.identification.estimation.followed_positions import a_standard_error_apart, followed_positions
@@ -105,16 +103,15 @@ def row(setting: Setting, found: Fit) -> tuple[str, ...]:
 
 def main() -> None:
     """Fit and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seed", type=int, default=1)
-    seed = parser.parse_args().seed
-    table = Table(
+    options = parser("coil_errors", __doc__)
+    options.add_argument("--seed", type=int, default=1)
+    seed = options.parse_args().seed
+    headings = (
         "release", "noise, mA", "rate, kHz", "strokes", "x while moving, µm", "95 % of it below", "t1, µs", "t2, µs",
-        "c1, %", "c2, %", "preload, %", "spring rate, %", title="Standard errors from the current alone",
+        "c1, %", "c2, %", "preload, %", "spring rate, %",
     )  # fmt: skip
-    for setting in SETTINGS:
-        table.add_row(*row(setting, fitted(setting, seed)))
-    Console(width=150).print(table)
+    rows = [row(setting, fitted(setting, seed)) for setting in SETTINGS]
+    show("Standard errors from the current alone", headings, rows)
 
 
 if __name__ == "__main__":

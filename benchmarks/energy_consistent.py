@@ -10,10 +10,9 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 from scipy.optimize import root
 
+from benchmarks.common import show
 from valve_sim.files.parameter_files import load_valve
 from valve_sim.files.resources import config_path
 from valve_sim.model import EventKind, SimulationError, Valve, published_times, simulate
@@ -22,26 +21,8 @@ from valve_sim.model.drives import step
 T1, T2 = 5.3e-3, 9.9e-3
 """s: published."""
 POWERS: Final = (
-    1e4,
-    200.0,
-    100.0,
-    60.0,
-    40.0,
-    30.0,
-    25.0,
-    20.0,
-    16.0,
-    14.0,
-    12.0,
-    11.0,
-    10.0,
-    9.5,
-    9.0,
-    8.6,
-    8.3,
-    8.1,
-    7.9,
-)
+    1e4, 200.0, 100.0, 60.0, 40.0, 30.0, 25.0, 20.0, 16.0, 14.0, 12.0, 11.0, 10.0, 9.5, 9.0, 8.6, 8.3, 8.1, 7.9,
+)  # fmt: skip
 """W, falling: each solution is the start of the next."""
 DAMPINGS: Final = ((0.0, 0.0), (0.0, 8.0), (3.0, 0.0), (3.0, 8.0), (10.0, 8.0))
 LATEST: Final = 0.06
@@ -108,27 +89,24 @@ def row(solution: Solution) -> tuple[str, ...]:
 
 def main() -> None:
     """Solve and print."""
-    table = Table(
+    headings = (
         "P, W", "R, Ω", "a0, N", "time constant, ms", "current dips from", "pull at the core, N",
-        "largest while opening, N",
-        "closes after, ms", title="t1 = 5.300 and t2 = 9.900 ms at 9 V, dampings as published",
+        "largest while opening, N", "closes after, ms",
     )  # fmt: skip
-    start, found = (3.04, 1e-3), {}
+    start, found, rows = (3.04, 1e-3), dict[float, tuple[float, float]](), []
     for power in POWERS:
         solution = solve(power, start)
-        if solution is None:
-            table.add_row(f"{power:g}", "", "none")
-            continue
-        start = found[power] = (solution.a0, solution.time_constant)
-        table.add_row(*row(solution))
-    Console(width=140).print(table)
-    other = Table("P, W", "c1, N·s/m", "c2, N·s/m", "a0, N", "time constant, ms", title="the same with other dampings")
+        if solution is not None:
+            start = found[power] = (solution.a0, solution.time_constant)
+        rows.append((f"{power:g}", "", "none") if solution is None else row(solution))
+    show("t1 = 5.300 and t2 = 9.900 ms at 9 V, dampings as published", headings, rows)
+    others = []
     for power in (40.0, 20.0, 12.0, 9.0):
         for dampings in DAMPINGS:
             solution = solve(power, found[power], dampings)
             values = ("none", "") if solution is None else (f"{solution.a0:.2f}", f"{1e3 * solution.time_constant:.2f}")
-            other.add_row(f"{power:g}", f"{dampings[0]:g}", f"{dampings[1]:g}", *values)
-    Console(width=140).print(other)
+            others.append((f"{power:g}", f"{dampings[0]:g}", f"{dampings[1]:g}", *values))
+    show("with other dampings", ("P, W", "c1, N·s/m", "c2, N·s/m", "a0, N", "time constant, ms"), others)
 
 
 if __name__ == "__main__":

@@ -3,8 +3,7 @@
 --seeds: bags of a station over 100 days, recorded by the independent plant of test/plants, each valve a little
 different within its tolerances; in two of them friction grows, in one the spring tires. Wanted: all three are named as
 drifting, and none of the others. Drifts are looked for in the refitted declared valve, so that no effect need be
-searched for; --search does. --here: the same fits and the same test of the same recordings without bags, files and
-cluster; the first bags are examined as a fleet too, and the rows compared.
+searched for; --search does.
 
 --nothing: so many units of nothing on an embedded cluster of two processes. Wanted: at most 10 ms for each, ten times
 as many take ten times as long, and the scheduler, which shares this process, stays within 1 GB.
@@ -18,7 +17,6 @@ Needs the extra `fleet`, and no ROS. A bag is one stroke at 10 kHz; 2,000 of the
 
 from __future__ import annotations
 
-import argparse
 import resource
 import tempfile
 import time
@@ -30,6 +28,7 @@ import numpy as np
 from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
 from plants.recording import BAG_START_NS, Recorder, Recording, record, train_bags, write_bag
 
+from benchmarks.common import parser, resident
 from valve_sim.fleet.cluster import Cluster, run_batches
 from valve_sim.fleet.run import examine_with
 from valve_sim.fleet.sources import find_bags
@@ -108,13 +107,9 @@ def named(seed: int, bags: int, valves: int, options: Options) -> Named:
             outcome = examine_with(cluster.client, [str(folder / "bags")], folder / "out", options=options)
         for words in outcome.drifting:
             print(f"  {words}")
-    return _named(seed, outcome.drifting, valves, (begun, before))
-
-
-def _named(seed: int, words: Iterable[str], valves: int, begun: tuple[float, float]) -> Named:
-    found = {int(one.partition("/valve")[0].rpartition("_")[2]) for one in words}
+    found = {int(one.partition("/valve")[0].rpartition("_")[2]) for one in outcome.drifting}
     wanted = {*GROWING, TIRING} & set(range(valves))
-    return Named(seed, found, wanted, _processor() - begun[1], time.perf_counter() - begun[0])
+    return Named(seed, found, wanted, _processor() - before, time.perf_counter() - begun)
 
 
 def _processor() -> float:
@@ -174,7 +169,7 @@ def spent(folder: Path, workers: int, count: int) -> Spent:
             useful += sum(map(_seconds, batch.answers))
             done += len(batch.answers)
             if done >= count * (len(memory) + 1) / 10:
-                memory.append(max(client.run(_resident).values()))
+                memory.append(max(client.run(resident).values()))
         wall = time.perf_counter() - begun
         of_workers = sum(client.run(time.process_time).values()) - before
         return Spent(workers, useful, of_workers, time.process_time() - mine, wall, memory)
@@ -186,12 +181,6 @@ def _examined(units: Sequence[Unit]) -> list[Examined]:
 
 def _seconds(answer: Examined) -> float:
     return answer.seconds
-
-
-def _resident() -> float:
-    """MB of this process now."""
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * resource.getpagesize() / 2**20
 
 
 def one_and_two(count: int) -> None:
@@ -215,18 +204,16 @@ def one_and_two(count: int) -> None:
 
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--seeds", type=int, default=0)
-    parser.add_argument("--first", type=int, default=1, help="the first seed")
-    parser.add_argument("--bags", type=int, default=2000)
-    parser.add_argument("--valves", type=int, default=20)
-    parser.add_argument("--search", action="store_true", help="search for effects, too")
-    parser.add_argument("--budget", type=float, default=120.0, help="s of a processor for one unit that is searched")
-    parser.add_argument("--nothing", type=int, nargs="*", default=[], help="numbers of units")
-    parser.add_argument(
-        "--workers", type=int, default=0, metavar="UNITS", help="so many units on one worker and on two"
-    )
-    chosen = parser.parse_args()
+    known = parser("fleet", __doc__)
+    known.add_argument("--seeds", type=int, default=0, help="stations (default: 0)")
+    known.add_argument("--first", type=int, default=1, help="the first seed")
+    known.add_argument("--bags", type=int, default=2000)
+    known.add_argument("--valves", type=int, default=20)
+    known.add_argument("--search", action="store_true", help="search for effects, too")
+    known.add_argument("--budget", type=float, default=120.0, help="s of a processor for one unit that is searched")
+    known.add_argument("--nothing", type=int, nargs="*", default=[], help="numbers of units")
+    known.add_argument("--workers", type=int, default=0, metavar="UNITS", help="so many units on one worker and on two")
+    chosen = known.parse_args()
     if chosen.workers:
         one_and_two(chosen.workers)
     if chosen.nothing:

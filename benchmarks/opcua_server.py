@@ -5,9 +5,7 @@ A server in a process of its own is written to and subscribed to by a client of 
 
 from __future__ import annotations
 
-import argparse
 import asyncio
-import os
 import resource
 import subprocess
 import sys
@@ -15,17 +13,12 @@ import tempfile
 import time
 from pathlib import Path
 
+from benchmarks.common import parser, resident
 from valve_sim.station.figures import Report, utc
 from valve_sim.station.opcua_server import ServedValve, Settings, StationServer
 
 PORT = 48499
 RATE = 135.0
-
-
-def resident() -> float:
-    """Memory of this process, MB."""
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") * 1e-6
 
 
 def used() -> float:
@@ -89,11 +82,11 @@ async def subscribe(subscriptions: int, process: subprocess.Popen[str]) -> None:
 
 def main() -> None:
     """Run both, and print what was measured."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--writes", type=int, default=1_000_000)
-    parser.add_argument("--subscriptions", type=int, default=10_000)
-    parser.add_argument("--serve", type=Path)
-    given = parser.parse_args()
+    known = parser("opcua_server", __doc__)
+    known.add_argument("--writes", type=int, default=1_000_000)
+    known.add_argument("--subscriptions", type=int, default=10_000)
+    known.add_argument("--serve", type=Path)
+    given = known.parse_args()
     if given.serve is not None:
         asyncio.run(serve(given.serve, given.writes))
         return

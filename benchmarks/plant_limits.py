@@ -15,7 +15,6 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from valve_sim.identification.reporting.detection_limits import limit_rows
 
 from valve_sim.files.plant_files import PlantFile, plant_from
 from valve_sim.identification.diagnosis.run import diagnose_plant
@@ -23,6 +22,7 @@ from valve_sim.identification.plants.effect_titles import title_of
 from valve_sim.identification.plants.own import OwnPlant
 from valve_sim.identification.plants.own_simulation import simulate_plant
 from valve_sim.identification.plants.protocol import Direction
+from valve_sim.identification.reporting.wording import limit_rows
 from valve_sim.model.core.own.units import parse_unit
 from valve_sim.traces.columns import Column, Columns
 

@@ -7,7 +7,6 @@ recordings, beside what its owners published, and what a diagnosis says. It is t
 
 from __future__ import annotations
 
-import argparse
 import math
 import runpy
 import sys
@@ -18,6 +17,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from benchmarks.common import parser
 from valve_sim.files.plant_files import load_plant
 from valve_sim.identification.diagnosis.own_plant import PlantIdentification, identify_plant
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose_plant
@@ -164,10 +164,10 @@ def report(data: Path, names: Sequence[str]) -> list[str]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the lines; 2 where all data are missing."""
-    parser = argparse.ArgumentParser(description="Fit and diagnose machines that others have measured.")
-    parser.add_argument("data", nargs="?", type=Path, default=DATA, help="the folder of published measurements")
-    parser.add_argument("--only", default=",".join(own.plant for own in MACHINES), metavar="NAMES", help="emps,knob")
-    chosen = parser.parse_args(arguments)
+    known = parser("real_recordings", __doc__)
+    known.add_argument("data", nargs="?", type=Path, default=DATA, help="the folder of published measurements")
+    known.add_argument("--only", default=",".join(own.plant for own in MACHINES), metavar="NAMES", help="emps,knob")
+    chosen = known.parse_args(arguments)
     try:
         print("\n".join(report(chosen.data, chosen.only.split(","))))
     except ValveError as error:

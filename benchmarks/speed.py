@@ -33,18 +33,16 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
 from plants.recording import Recorder, record, train_profile
-from rich.console import Console
-from rich.table import Table
 
 from benchmarks.campaign.declared import as_trace
+from benchmarks.common import parser, show
 from benchmarks.coverage import true_dampings
 from benchmarks.other_solvers import TIMES, TOLERANCE, scipy_opening
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.files.resources import config_path
 from valve_sim.identification.plants.protocol import Direction
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.model import Drive, EventKind, Valve, simulate
-from valve_sim.model.core import runs
+from valve_sim.model import Drive, EventKind, Valve, runs, simulate
 from valve_sim.model.live import Live
 from valve_sim.model.runs import Directions, run_sloped
 from valve_sim.model.simulation import run_numbers
@@ -414,22 +412,21 @@ PARTS: Final[Mapping[str, Part]] = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the tables; 1 if a figure falls short."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    known = parser("speed", __doc__)
     usual = [name for name in PARTS if name != "long"]
-    parser.add_argument("parts", nargs="*", metavar="PART", help=f"{', '.join(PARTS)} (default: all but long)")
-    parser.add_argument("--turns", type=int, default=30, help="of what is timed in turns (default: 30)")
-    parser.add_argument("--strokes", type=int, nargs="+", default=[100, 300, 1000], help="of long recordings")
-    options = parser.parse_args(arguments)
+    known.add_argument("parts", nargs="*", metavar="PART", help=f"{', '.join(PARTS)} (default: all but long)")
+    known.add_argument("--turns", type=int, default=30, help="of what is timed in turns (default: 30)")
+    known.add_argument("--strokes", type=int, nargs="+", default=[100, 300, 1000], help="of long recordings")
+    options = known.parse_args(arguments)
     if unknown := [name for name in options.parts if name not in PARTS]:
-        parser.error(f"{unknown[0]}: expected some of {', '.join(PARTS)}")
+        known.error(f"{unknown[0]}: expected some of {', '.join(PARTS)}")
     is_good = True
     for name in options.parts or usual:
         part = PARTS[name]
-        table = Table(*part.headings, "", title=part.title)
-        for row in part.measure(options):
-            table.add_row(*row.cells, "" if row.is_met is None else "good" if row.is_met else "SHORT")
-            is_good = is_good and row.is_met is not False
-        Console(width=120).print(table)
+        rows = part.measure(options)
+        verdicts = {None: "", True: "good", False: "SHORT"}
+        show(part.title, (*part.headings, ""), [(*row.cells, verdicts[row.is_met]) for row in rows])
+        is_good = is_good and all(row.is_met is not False for row in rows)
     return 0 if is_good else 1
 
 

@@ -10,11 +10,12 @@ from plants.laboratory import IMPERFECTIONS, LABORATORIES, true_sizes
 from plants.recording import Recorder
 from plants.tolerances import SHEET_VALVE
 
+from benchmarks.campaign.actuators import KINDS, ROUND, SUBSTEPS, march, missing
 from benchmarks.campaign.cases import AT_LIMITS, EXACT_VALUES, RECORDED, SIZES, draw_case, planned
 from benchmarks.campaign.effects import CATALOGUED
-from benchmarks.campaign.figures import family_table, imperfection_table, standing, upper_limit
 from benchmarks.campaign.limits import DETECTABLE, Knowledge, detection_limit, yardstick
 from benchmarks.campaign.running import Answer, Outcome, is_unnamed, true_effects, true_names
+from benchmarks.campaign.tables import DEMANDS, family_table, imperfection_table, interval_table, standing, upper_limit
 
 POWERS: FloatArray = np.linspace(0.0, 1.2e-3, 7)[:, np.newaxis] ** np.arange(4)
 
@@ -221,3 +222,38 @@ def test_lines_of_json_are_pooled() -> None:
     assert "confidently wrong, all together: 1 of 3, 33.33%" in table
     # Of 1000 cases without one it is 3 in 1000, to the nearest.
     assert upper_limit(0, 1000) == pytest.approx(3e-3, rel=0.01)
+
+
+def test_a_demand_judges_the_outcomes_of_its_families_alone() -> None:
+    demand = next(one for one in DEMANDS if one.words == "none: none")
+    right, wrong = outcome_of("none", "none", (), 0.9), outcome_of("none", "effects", ("stiction",), 0.95)
+    elsewhere = outcome_of("single", "effects", ("stiction",), 0.95)
+    assert not demand.is_short([right, elsewhere])
+    assert demand.is_short([right, wrong])
+    assert "50.0 % of 2" in demand.line([right, wrong, elsewhere], is_judged=True)
+    assert demand.line([elsewhere], is_judged=True) == ""
+
+
+def test_intervals_are_counted_by_what_they_are_of() -> None:
+    held = {"pilot_damping": True, "main_damping": False, "stiction.force": True, "declared stroke": False}
+    rows = interval_table([replace(outcome_of("none", "none", (), 0.9), is_covered=held)]).splitlines()[1:]
+    assert [row.split()[-2:] for row in rows] == [["2", "50.0%"], ["1", "100.0%"], ["1", "0.0%"]]
+
+
+def test_every_kind_of_actuator_lacks_each_of_its_effects_and_one_in_five_nothing() -> None:
+    kinds, found = list(KINDS), [missing(seed) for seed in range(2 * ROUND)]
+    assert found.count("") == 2 * ROUND // 5
+    for place, (name, kind) in enumerate(KINDS.items()):
+        assert {*found[place :: len(kinds)]} == {*kind.effects, ""}, name
+
+
+def test_the_true_coil_rises_as_the_exponential_of_its_time_constant() -> None:
+    kind, times = KINDS["coil"], np.linspace(0.0, 0.02, 81)
+    resistance, inductance = kind.values
+    rises = march(
+        kind.rates, kind.slides, kind.inertia, np.zeros(1), times, np.full(81, 9.0), np.array(kind.values), np.zeros(4)
+    )
+    wanted = 9.0 / resistance * (1.0 - np.exp(-times * resistance / inductance))
+    # What the midpoint rule leaves with steps h is (h/τ)²/6 of the final current, times at most 1/e.
+    step = times[1] / SUBSTEPS * resistance / inductance
+    assert np.abs(rises[:, 0] - wanted).max() < 9.0 / resistance * step**2 / (6.0 * np.e) * 1.01

@@ -20,7 +20,7 @@ from identification.live_strokes import LiveValve, feed
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.monitoring.monitor import Monitor
 from valve_sim.nodes import topics as tables
-from valve_sim.nodes.monitor_status import stroke_status
+from valve_sim.nodes.monitor_work import stroke_status
 
 CONFIG = Path(__file__).parents[1] / "config"
 TANKS = ("tank_1", "tank_2", "tank_3")

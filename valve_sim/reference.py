@@ -15,12 +15,13 @@ from valve_sim.files.channels import CHANNELS, COIL, JUDGED, LIVE_COIL, ROLES, U
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.fleet.columns import BEFORE, SCHEMA, columns, followed, quantities
 from valve_sim.model import CATALOGUE
+from valve_sim.model.core.latex import equations_without_effects, formulas_of
 from valve_sim.model.parameters import Parameter
 from valve_sim.nodes import profile_playing, settings, topics
 from valve_sim.nodes.parameters import NodeParameter
 from valve_sim.nodes.topics import Topic
 from valve_sim.nodes.valve_parameters import table
-from valve_sim.station import archive_tables, dispenser_tables, opcua_tables, plc_tables
+from valve_sim.station import tables as station
 from valve_sim.traces.table_reading import OWN_COLUMNS
 
 _TOPICS: Final = {
@@ -28,16 +29,16 @@ _TOPICS: Final = {
     "identification_node": topics.IDENTIFICATION,
     "monitor_node": topics.MONITOR,
     "command_profile": topics.PROFILE,
-    "dispenser_node": dispenser_tables.TOPICS,
-    "opcua_node": opcua_tables.TOPICS,
-    "plc_node": plc_tables.TOPICS,
-    "archive_node": archive_tables.TOPICS,
+    "dispenser_node": station.DISPENSER_TOPICS,
+    "opcua_node": station.OPCUA_TOPICS,
+    "plc_node": station.PLC_TOPICS,
+    "archive_node": station.ARCHIVE_TOPICS,
 }
 _STATION: Final = {
-    "dispenser_node": dispenser_tables.PARAMETERS,
-    "opcua_node": opcua_tables.PARAMETERS,
-    "plc_node": plc_tables.PARAMETERS,
-    "archive_node": archive_tables.PARAMETERS,
+    "dispenser_node": station.DISPENSER,
+    "opcua_node": station.OPCUA,
+    "plc_node": station.PLC,
+    "archive_node": station.ARCHIVE,
 }
 _LONGEST_TEXT: Final = 60
 _OF_TOPICS: Final = ("name", "type", "direction", "QoS", "unit", "what")
@@ -66,10 +67,10 @@ def _topics() -> Iterator[str]:
             yield _table(_OF_TOPICS, [_topic(entry) for entry in topics.GAS])
     yield (
         "`<valve>` and `<measured>` are parameters of monitor_node; `<sensors>` is where `<measured>` is. Of "
-        "the station's nodes `<valve>` is each of their parameter `valves`, and `<monitor>` of `monitors`. `<end>` is "
-        "inlet_pressure and demand_pressure: "
+        "the station's nodes `<valve>` is each of their parameter `valves`, and `<monitor>` of `monitors`; "
+        "`<alarms>` is one of archive_node. `<end>` is inlet_pressure and demand_pressure: "
         "beside a simulated valve (`<sensors>` is `<valve>`) those that it obeys are heard, beside another its "
-        "sensors, and where neither comes what the valve is told. What is read from a bag is on the page of "
+        "sensors, and where neither comes the pressures that are sent to it. What is read from a bag is on the page of "
         "[channels](channels.md)."
     )
 
@@ -190,6 +191,16 @@ def _parameters(entries: Mapping[str, NodeParameter]) -> str:
 
 def _effects() -> Iterator[str]:
     yield "Each is off unless a parameter file has it under `effects:`. [How to add one](../how_to/your_own_effect.md)."
+    yield (
+        "Formulas are printed from the expressions that the simulator itself is compiled from, with the symbols of "
+        "[Model and events](../theory/model.md): $F$ is a force that is added, + opens, $F_f$ the level of a dry "
+        "friction, and an arrow shows what becomes of a declared value. Parameters of the effect go by their names. "
+        "An effect without a formula here acts on a sensor (11), on a contact (13), (15), on the current that pulls "
+        "(8), or on the [gas](../gas.md#equations), or is a [smooth curve](../theory/selection.md#11-smooth-curves)."
+    )
+    yield "Without effects a valve without gas moves by these equations, in Phase 1, in Phase 2, and its current $u$:"
+    for formula in equations_without_effects():
+        yield f"$$\n{formula}\n$$"
     for effect in CATALOGUE.values():
         yield f"## {effect.name}"
         words = effect.summary[0].upper() + effect.summary[1:] + f". Source: {effect.source}."
@@ -200,6 +211,8 @@ def _effects() -> Iterator[str]:
         if not effect.named:
             words += " Never claimed as a name."
         yield words
+        for formula in formulas_of(effect):
+            yield f"$$\n{formula}\n$$"
         rows = [
             (f"`{p.name}`", p.unit, p.description, f"{p.lower:g} … {p.upper:g}", _off(p))
             for p in effect.parameters

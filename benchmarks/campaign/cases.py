@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 import tempfile
 import zlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Final
+from types import MappingProxyType
+from typing import Final, NamedTuple
 
 import numpy as np
+from plants import recording, tolerances
 from plants.common import Plant
 from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
 from plants.laboratory import IMPERFECTIONS, LABORATORIES, LOW_RATES, Laboratory, measure
@@ -20,9 +22,9 @@ from plants.recording import Recorder, Recording, record, single_opening, three_
 from plants.recording import holdout_profile as other_profile
 from plants.reluctance import DATA_SHEET, ReluctancePlant, built
 from plants.reluctance import EFFECTS as RELUCTANCE_EFFECTS
-from plants.tolerances import LENGTHS, SHARES, SHEET_VALVE, Entries, declared_tolerances, deviated, drawn_deviations
+from plants.tolerances import LENGTHS, NAMES, SHARES, SHEET_VALVE, Entries, deviated, drawn_deviations
 
-from benchmarks.campaign import coil, hard, outlet
+from benchmarks.campaign import actuators, coil, hard, outlet
 from benchmarks.campaign.bench import Bench, Measured
 from benchmarks.campaign.declared import declared_valve
 from benchmarks.campaign.effects import CATALOGUED, UNCATALOGUED, Effects, are_confusable, log_uniform
@@ -93,6 +95,8 @@ EXACT_VALVE: Final[Entries] = {**SHEET_VALVE, "pickup_velocity_ratio": 0.82}
 """The valve of files that are wrong: every value can be off either way."""
 EXACT_VALUES: Final = tuple(name for name in EXACT_VALVE if not name.endswith("_damping"))
 """Every declared value but the dampings, which are refitted anyway."""
+OFF_IN_TURN: Final = (*EXACT_VALUES, *CATALOGUED)
+"""What an exact file is wrong in: a value, or an effect that has grown."""
 LARGEST_WITHIN: Final[Mapping[str, float]] = {
     "stroke_offset": 100e-6,
     "gap_offset": 100e-6,
@@ -142,6 +146,11 @@ class Case:
         return {name: values for name, values in self.truth.items() if not name.startswith(WRONG)}
 
     @property
+    def origin(self) -> Origin:
+        """Where its valve and its file come from."""
+        return FAMILIES[self.family].origin
+
+    @property
     def bench(self) -> Bench | None:
         """What is diagnosed, where the family says so; else the plant, recorded."""
         make = FAMILIES[self.family].bench
@@ -150,12 +159,8 @@ class Case:
     @property
     def true_values(self) -> Entries:
         """The true valve's numbers, where it is of the declared form."""
-        if self.family in FORMED_OTHERWISE:
-            return {}
-        if self.family == "exact_wrong":
-            return {**EXACT_VALVE, **self.dampings}
-        declared = SHEET_VALVE if FAMILIES[self.family].has_tolerances else CAMPAIGN_VALVE
-        return {**deviated(declared, self.deviations), **self.dampings}
+        sheet = self.origin.sheet
+        return {**deviated(sheet, self.deviations), **self.dampings} if sheet else {}
 
     @property
     def true_scalars(self) -> Numbers:
@@ -171,66 +176,16 @@ class Case:
     @property
     def plant(self) -> Plant:
         """The true valve."""
-        if self.family == "reluctance":
-            return ReluctancePlant(self.effects, built(deviated(DATA_SHEET, self.deviations)))
-        if self.family in FORMED_OTHERWISE:
-            return MismatchedPlant(self.effects)
-        return DeclaredPlant(self.effects, self.true_values)
+        return self.origin.plant(self)
 
     @property
     def declared(self) -> Valve:
         """What the diagnosis is told of the valve."""
-        if self.family == "mismatched":
-            return declared_valve(BENCH_VALVE)
-        if self.family == "exact_wrong":
-            return self._wrong_file()
-        if not FAMILIES[self.family].has_tolerances:
-            return declared_valve(CAMPAIGN_VALVE)
-        if self.family == "mismatched_within":
-            # This plant's own numbers are fixed: it is the file that is off.
-            sheet = deviated({**CAMPAIGN_VALVE, **BENCH_VALVE}, self.deviations)
-            return declared_valve(sheet, declared_tolerances(sheet))
-        if self.family == "reluctance":
-            return self._from_static_table()
-        return declared_valve(SHEET_VALVE, declared_tolerances(SHEET_VALVE))
-
-    def _wrong_file(self) -> Valve:
-        """One value is off, or one effect is declared smaller than it is; all of it is said to be exact."""
-        [(name, amount)] = self.amplitudes.items()
-        if name in CATALOGUED:
-            return declared_valve(EXACT_VALVE, effects={name: CATALOGUED[name].parameters(*_declared_size(name))})
-        own = name.removeprefix(WRONG)
-        off = (np.asarray(EXACT_VALVE[own]) * (1.0 + amount)).tolist()
-        return declared_valve({**EXACT_VALVE, own: off})
-
-    def _from_static_table(self) -> Valve:
-        """A rounded data sheet, with the attraction that `fit_static_force` finds in a noisy table."""
-        tolerances = declared_tolerances(DATA_SHEET)
-        scalars = {name: value for name, value in tolerances.items() if name != "attraction_covariance"}
-        sheet = declared_valve(DATA_SHEET, scalars | {"pickup_velocity_ratio": 0.01})
-        plant = ReluctancePlant(build=built(deviated(DATA_SHEET, self.deviations)))
-        table = np.column_stack(plant.static_table(np.random.default_rng(self.record_seeds)))
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "static.csv"
-            np.savetxt(path, table, delimiter=",", header="displacement,force", comments="", fmt="%.6g")
-            return fit_static_force(path, sheet).valve
-
-    @property
-    def declared_exactly(self) -> Valve:
-        """The true values but for the dampings, which a fit frees."""
-        dampings = {name: CAMPAIGN_VALVE[name] for name in self.dampings}
-        return declared_valve({**self.true_values, **dampings})
+        return self.origin.declared(self)
 
     def recorder(self, bag: int) -> Recorder:
         """How a bag, by its place, is recorded."""
-        noise = NOISES[self.noise]
-        return Recorder(
-            colour=noise.colour,
-            quantisation=noise.quantisation,
-            command_jitter=noise.command_jitter,
-            clock_offset=self.clock_offsets[bag],
-            with_current=self.with_current,
-        )
+        return replace(NOISES[self.noise], clock_offset=self.clock_offsets[bag], with_current=self.with_current)
 
     def laboratory_of(self, bag: int) -> Laboratory:
         """The laboratory as it records a bag, by its place, with that bag's clock."""
@@ -244,11 +199,7 @@ class Case:
 
     def recordings(self) -> tuple[Recording, ...]:
         """To train on, and last what to hold out; for an opening, the opening and what it is advised to record next."""
-        profiles = {
-            "opening": (single_opening(), train_profile()),
-            "folder": (*train_bags(FOLDER), other_profile()),
-            "low_rate": (three_strokes(), three_strokes()),
-        }.get(self.family, (train_profile(), other_profile()))
+        profiles = FAMILIES[self.family].profiles()
         if self.laboratory:
             return tuple(
                 measure(self.true_values, self.effects, profile, self.laboratory_of(bag), self.record_seeds[bag])
@@ -260,6 +211,75 @@ class Case:
         )
 
 
+class Origin(NamedTuple):
+    """A valve that is recorded, and the file that a diagnosis gets of it.
+
+    Attributes:
+        plant: the true valve of a case. declared: what its file says.
+        sheet: numbers that the true ones deviate from; none where the plant is of another form than the declared one.
+        deviates: names of the numbers that are off within their tolerances; none where the file is exact.
+    """
+
+    plant: Callable[[Case], Plant]
+    declared: Callable[[Case], Valve]
+    sheet: Entries = MappingProxyType({})
+    deviates: Sequence[str] = ()
+
+
+def _of_the_form(case: Case) -> Plant:
+    return DeclaredPlant(case.effects, case.true_values)
+
+
+def _mismatched(case: Case) -> Plant:
+    return MismatchedPlant(case.effects)
+
+
+def _mismatched_file(case: Case) -> Valve:
+    """This plant's own numbers are fixed: it is the file that is off."""
+    sheet = deviated({**CAMPAIGN_VALVE, **BENCH_VALVE}, case.deviations)
+    return declared_valve(sheet, tolerances.declared_tolerances(sheet))
+
+
+def _wrong_file(case: Case) -> Valve:
+    """One value is off, or one effect is declared smaller than it is; all of it is said to be exact."""
+    [(name, amount)] = case.amplitudes.items()
+    if name in CATALOGUED:
+        return declared_valve(EXACT_VALVE, effects={name: CATALOGUED[name].parameters(*_declared_size(name))})
+    own = name.removeprefix(WRONG)
+    off = (np.asarray(EXACT_VALVE[own]) * (1.0 + amount)).tolist()
+    return declared_valve({**EXACT_VALVE, own: off})
+
+
+def _reluctance_plant(case: Case) -> ReluctancePlant:
+    return ReluctancePlant(case.effects, built(deviated(DATA_SHEET, case.deviations)))
+
+
+def _from_static_table(case: Case) -> Valve:
+    """A rounded data sheet, with the attraction that `fit_static_force` finds in a noisy table."""
+    known = tolerances.declared_tolerances(DATA_SHEET)
+    scalars = {name: value for name, value in known.items() if name != "attraction_covariance"}
+    sheet = declared_valve(DATA_SHEET, scalars | {"pickup_velocity_ratio": 0.01})
+    plant = ReluctancePlant(build=built(deviated(DATA_SHEET, case.deviations)))
+    table = np.column_stack(plant.static_table(np.random.default_rng(case.record_seeds)))
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "static.csv"
+        np.savetxt(path, table, delimiter=",", header="displacement,force", comments="", fmt="%.6g")
+        return fit_static_force(path, sheet).valve
+
+
+def _sheet_within(case: Case) -> Valve:
+    return declared_valve(SHEET_VALVE, tolerances.declared_tolerances(SHEET_VALVE))
+
+
+TOLD_EXACTLY: Final = Origin(_of_the_form, lambda case: declared_valve(CAMPAIGN_VALVE), CAMPAIGN_VALVE)
+TOLD_WITHIN: Final = Origin(_of_the_form, _sheet_within, SHEET_VALVE, NAMES)
+TOLD_WRONG: Final = Origin(_of_the_form, _wrong_file, EXACT_VALVE)
+MISMATCHED: Final = Origin(_mismatched, lambda case: declared_valve(BENCH_VALVE))
+MISMATCHED_WITHIN: Final = Origin(_mismatched, _mismatched_file, deviates=NAMES)
+# The pull of this one is measured at rest.
+RELUCTANCE: Final = Origin(_reluctance_plant, _from_static_table, deviates=(*SHARES, *LENGTHS))
+
+
 @dataclass(frozen=True)
 class Family:
     """A kind of case.
@@ -267,7 +287,8 @@ class Family:
     Attributes:
         draw: truth and amplitudes of a seed. kinds: over so many seeds every effect takes its turn.
         per_round: cases for each of the campaign's seeds. in_slice: cases of the slice for CI, the quicker ones.
-        has_tolerances: whether the declared file is off within tolerances, which it tells; not where it `is_true`.
+        origin: of the valve and its file. is_true: whether no number is off, although the file tells tolerances.
+        profiles: what is commanded, to train on and last what to hold out.
         laboratory: the laboratory of a seed and its noise; None where a plain recorder does.
         bench: what is diagnosed, of a seed and of what is missing, where a case's own plant and recorder do not do.
         wanted: what the bench's figures may be at most, without their sign; those that have a bound.
@@ -277,7 +298,8 @@ class Family:
     kinds: int
     per_round: int
     in_slice: tuple[int, ...]
-    has_tolerances: bool = False
+    origin: Origin = TOLD_EXACTLY
+    profiles: Callable[[], Sequence[recording.Profile]] = lambda: (train_profile(), other_profile())
     laboratory: Callable[[int], tuple[str, str]] | None = None
     is_true: bool = False
     bench: Callable[[int, str], Bench] | None = None
@@ -287,10 +309,11 @@ class Family:
 def draw_case(family: str, seed: int) -> Case:
     """The case of a family and a seed."""
     random = np.random.default_rng([zlib.crc32(family.encode()), seed])
-    if FAMILIES[family].bench is not None:
-        truth, amplitudes = FAMILIES[family].draw(seed, random, NOISES["white"])
+    own = FAMILIES[family]
+    if own.bench is not None:
+        truth, amplitudes = own.draw(seed, random, NOISES["white"])
         return Case(family, seed, truth, amplitudes, {}, "white", False, (), ())
-    kind, turn = seed % FAMILIES[family].kinds, seed // FAMILIES[family].kinds
+    turn, kind = divmod(seed, own.kinds)
     # Over eight turns every effect meets every noise, with current and without.
     noise = list(NOISES)[(kind + turn) % len(NOISES)]
     with_current = (kind + turn // len(NOISES)) % 2 == 1
@@ -298,28 +321,25 @@ def draw_case(family: str, seed: int) -> Case:
         name: float(np.asarray(CAMPAIGN_VALVE[name])) * log_uniform(random, *DAMPING_FACTOR)
         for name in ("pilot_damping", "main_damping")
     }
-    own_laboratory = FAMILIES[family].laboratory
     laboratory, recorder = "", NOISES[noise]
-    if own_laboratory is not None:
-        laboratory, noise = own_laboratory(seed)
+    if own.laboratory is not None:
+        laboratory, noise = own.laboratory(seed)
         recorder = NOISES["white"]
         # The place of the imperfection must not say whether there is a current.
         with_current = (kind // 2 + turn // 2) % 2 == 1
-    bags = FOLDER + 1 if family == "folder" else 2
+    bags = len(own.profiles())
     offsets = CLOCK_OFFSET * random.standard_normal(bags)
-    if family == "folder" and seed % 2 == 1:
+    if bags > 2 and seed % 2 == 1:
         offsets[:] = offsets[0]
     seeds = random.integers(2**31, size=bags)
-    deviations = drawn_deviations(random) if FAMILIES[family].has_tolerances else {}
-    if FAMILIES[family].is_true:
+    deviations = drawn_deviations(random) if own.origin.deviates else {}
+    deviations = {name: size for name, size in deviations.items() if name in own.origin.deviates}
+    if own.is_true:
         deviations, dampings = {}, {}
-    if family == "reluctance":
-        # The pull is measured at rest.
-        deviations = {name: deviations[name] for name in (*SHARES, *LENGTHS)}
-    truth, amplitudes = FAMILIES[family].draw(seed, random, recorder)
+    truth, amplitudes = own.draw(seed, random, recorder)
     # No position shows the coil's resistance.
     with_current = with_current or f"{WRONG}coil_resistance" in truth
-    if family == "wrong_value":
+    if deviations:
         # What is wrong is not within its tolerance.
         deviations |= {name.removeprefix(WRONG): size for name, size in amplitudes.items() if name.startswith(WRONG)}
     return Case(
@@ -327,7 +347,7 @@ def draw_case(family: str, seed: int) -> Case:
         seed,
         truth,
         amplitudes,
-        {} if family in FORMED_OTHERWISE else dampings,
+        dampings if own.origin.sheet else {},
         noise,
         with_current,
         tuple(offsets.tolist()),
@@ -345,16 +365,10 @@ def _one_imperfection(seed: int) -> tuple[str, str]:
     return f"{list(IMPERFECTIONS)[kind]}:{SIZES[size]}", noise
 
 
-def _whole_laboratory(seed: int) -> tuple[str, str]:
-    return list(LABORATORIES)[seed % len(LABORATORIES)], OWN_NOISE
-
-
-def _mistake(seed: int) -> tuple[str, str]:
-    return list(MISTAKES)[seed % len(MISTAKES)], OWN_NOISE
-
-
-def _low_rate(seed: int) -> tuple[str, str]:
-    return list(LOW_RATES)[seed // 2 % len(LOW_RATES)], OWN_NOISE
+def _whole(names: Iterable[str], seeds: int = 1) -> Callable[[int], tuple[str, str]]:
+    """Whole laboratories in turn, each for so many seeds."""
+    known = tuple(names)
+    return lambda seed: (known[seed // seeds % len(known)], OWN_NOISE)
 
 
 def _clear_imperfection(seed: int) -> tuple[str, str]:
@@ -371,10 +385,13 @@ def _catalogued(
     limits: tuple[float, float] = LIMITS,
     knowledge: Knowledge = Knowledge.EXACT,
 ) -> tuple[Effects, Numbers]:
-    """One effect of an amplitude between so many detection limits."""
+    """One effect of an amplitude between so many detection limits, or of just so many."""
     scale = CATALOGUED[name]
     shape, sign = scale.draw_shape(random), scale.draw_sign(random)
     limit = detection_limit(name, shape, recorder, knowledge)
+    if limits[0] == limits[1]:
+        size = min(limits[0] * limit, scale.most)
+        return {name: scale.parameters(sign * size, shape)}, {name: size / limit}
     low = limits[0] * limit
     size = min(log_uniform(random, low, max(NARROWEST * low, min(limits[1] * limit, scale.largest))), scale.most)
     if knowledge is Knowledge.WITHIN:
@@ -400,18 +417,13 @@ def _at_limits(
 ) -> tuple[Effects, Numbers]:
     """One effect at so many detection limits, as its round has it."""
     turn, kind = divmod(seed, len(CATALOGUED))
-    name = list(CATALOGUED)[kind]
-    scale = CATALOGUED[name]
-    shape, sign = scale.draw_shape(random), scale.draw_sign(random)
-    limit = detection_limit(name, shape, recorder, knowledge)
-    size = min(AT_LIMITS[turn % len(AT_LIMITS)] * limit, scale.most)
-    return {name: scale.parameters(sign * size, shape)}, {name: size / limit}
+    times = AT_LIMITS[turn % len(AT_LIMITS)]
+    return _catalogued(list(CATALOGUED)[kind], random, recorder, (times, times), knowledge)
 
 
 def _exact_wrong(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
     """A value that is off, by its true value, or an effect that has grown since it was declared."""
-    names = (*EXACT_VALUES, *CATALOGUED)
-    name = names[seed % len(names)]
+    name = OFF_IN_TURN[seed % len(OFF_IN_TURN)]
     if name in CATALOGUED:
         size, shape = _declared_size(name)
         growth = min(log_uniform(random, *GROWTH), CATALOGUED[name].most / size - 1.0)
@@ -429,9 +441,11 @@ def _declared_size(name: str) -> tuple[float, Numbers]:
 
 def _unnamed_beside(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
     """One effect of the catalogue, and one that no catalogue holds."""
-    effects, amplitudes = _single(seed, random, recorder)
-    others, other_amplitudes = _uncatalogued(seed, random, recorder)
-    return {**effects, **others}, {**amplitudes, **other_amplitudes}
+    return _both(_single(seed, random, recorder), _uncatalogued(seed, random, recorder))
+
+
+def _both(one: tuple[Effects, Numbers], other: tuple[Effects, Numbers]) -> tuple[Effects, Numbers]:
+    return {**one[0], **other[0]}, {**one[1], **other[1]}
 
 
 def _none(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
@@ -443,9 +457,7 @@ def _pair(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[E
         first, second = (str(name) for name in random.choice(list(CATALOGUED), 2, replace=False))
         if not are_confusable(first, second):
             break
-    effects, amplitudes = _catalogued(first, random, recorder)
-    others, other_amplitudes = _catalogued(second, random, recorder)
-    return {**effects, **others}, {**amplitudes, **other_amplitudes}
+    return _both(_catalogued(first, random, recorder), _catalogued(second, random, recorder))
 
 
 def _uncatalogued(
@@ -460,10 +472,6 @@ def _uncatalogued(
     distance = moved / plain.position_noise * math.sqrt(measure.samples)
     size = share * size_at(distance, scale, effect_distance(measure, name, scale, shape, sign))
     return {name: scale.parameters(sign * size, shape)}, {name: share * moved * 1e6}
-
-
-def _weak(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
-    return _uncatalogued(seed, random, recorder, WEAK_SHARE)
 
 
 def _wrong_value(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
@@ -483,6 +491,10 @@ def _every_other(seed: int, random: np.random.Generator, recorder: Recorder) -> 
     return _beside(seed // 2, random, recorder) if seed % 2 else _none(seed, random, recorder)
 
 
+def _twice_three() -> Sequence[recording.Profile]:
+    return three_strokes(), three_strokes()
+
+
 def _one_of(names: Iterable[str]) -> Draw:
     """One of these names in turn is missing; what it does is the bench's business."""
     known = tuple(names)
@@ -493,44 +505,48 @@ def _hard(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[E
     return {name: dict(values) for name, values in HARD[seed % len(HARD)].effects.items()}, {}
 
 
+def _actuator(seed: int, random: np.random.Generator, recorder: Recorder) -> tuple[Effects, Numbers]:
+    missing = actuators.missing(seed)
+    return ({missing: {}} if missing else {}), {}
+
+
 HARD: Final = hard.cases()
 _mismatched_within: Final = _in_turn(EFFECTS, knowledge=Knowledge.WITHIN)
 _reluctance: Final = _in_turn(RELUCTANCE_EFFECTS, knowledge=Knowledge.WITHIN)
 _at_limits_within: Final = partial(_at_limits, knowledge=Knowledge.WITHIN)
-FORMED_OTHERWISE: Final = ("mismatched", "mismatched_within", "reluctance")
-"""Families whose plant is not of the declared form."""
 EXACT: Final[Mapping[str, Family]] = {
     "single": Family(_single, len(CATALOGUED), len(CATALOGUED), (0, 12, 17, 20)),
     "none": Family(_none, 1, 20, (0, 1, 2, 3)),
     "pair": Family(_pair, 1, 5, (2,)),
     "uncatalogued": Family(_uncatalogued, len(UNCATALOGUED), 5, (5,)),
-    "weak": Family(_weak, len(UNCATALOGUED), 5, (2,)),
-    "mismatched": Family(_in_turn(EFFECTS, MISMATCHED_LIMITS), len(EFFECTS), 5, (10,)),
-    "opening": Family(_single, len(CATALOGUED), 4, (0,)),
+    "weak": Family(partial(_uncatalogued, share=WEAK_SHARE), len(UNCATALOGUED), 5, (2,)),
+    "mismatched": Family(_in_turn(EFFECTS, MISMATCHED_LIMITS), len(EFFECTS), 5, (10,), MISMATCHED),
+    "opening": Family(_single, len(CATALOGUED), 4, (0,), profiles=lambda: (single_opening(), train_profile())),
     "at_limits": Family(_at_limits, len(CATALOGUED), len(CATALOGUED), ()),
-    "exact_wrong": Family(_exact_wrong, len(EXACT_VALUES) + len(CATALOGUED), len(EXACT_VALUES) + len(CATALOGUED), ()),
+    "exact_wrong": Family(_exact_wrong, len(OFF_IN_TURN), len(OFF_IN_TURN), (), TOLD_WRONG),
     "unnamed_beside": Family(_unnamed_beside, len(CATALOGUED), 5, ()),
 }
 WITHIN: Final[Mapping[str, Family]] = {
-    "none_within": Family(_none, 1, 10, (), has_tolerances=True),
-    "single_within": Family(_single_within, len(CATALOGUED), 10, (), has_tolerances=True),
-    "wrong_value": Family(_wrong_value, len(SHARES) + len(LENGTHS), 4, (), has_tolerances=True),
-    "folder": Family(_single_within, len(CATALOGUED), 2, (), has_tolerances=True),
-    "mismatched_within": Family(_mismatched_within, len(EFFECTS), 3, (), has_tolerances=True),
-    "reluctance": Family(_reluctance, len(RELUCTANCE_EFFECTS), 3, (), has_tolerances=True),
-    "at_limits_within": Family(_at_limits_within, len(CATALOGUED), len(CATALOGUED), (), has_tolerances=True),
+    "none_within": Family(_none, 1, 10, (), TOLD_WITHIN),
+    "single_within": Family(_single_within, len(CATALOGUED), 10, (), TOLD_WITHIN),
+    "wrong_value": Family(_wrong_value, len(SHARES) + len(LENGTHS), 4, (), TOLD_WITHIN),
+    "folder": Family(
+        _single_within, len(CATALOGUED), 2, (), TOLD_WITHIN, lambda: (*train_bags(FOLDER), other_profile())
+    ),
+    "mismatched_within": Family(_mismatched_within, len(EFFECTS), 3, (), MISMATCHED_WITHIN),
+    "reluctance": Family(_reluctance, len(RELUCTANCE_EFFECTS), 3, (), RELUCTANCE),
+    "at_limits_within": Family(_at_limits_within, len(CATALOGUED), len(CATALOGUED), (), TOLD_WITHIN),
 }
 RECORDED: Final[Mapping[str, Family]] = {
-    "imperfect": Family(_none, 42, 42, (), has_tolerances=True, laboratory=_one_imperfection),
-    "laboratory": Family(_none, 5, 5, (), has_tolerances=True, laboratory=_whole_laboratory),
-    "beside": Family(
-        _beside, len(CATALOGUED), len(CATALOGUED), (), has_tolerances=True, laboratory=_clear_imperfection
-    ),
-    "mistake": Family(_none, len(MISTAKES), len(MISTAKES), (), has_tolerances=True, laboratory=_mistake, is_true=True),
-    "low_rate": Family(_every_other, 2 * len(CATALOGUED), 12, (), has_tolerances=True, laboratory=_low_rate),
+    "imperfect": Family(_none, 42, 42, (), TOLD_WITHIN, laboratory=_one_imperfection),
+    "laboratory": Family(_none, 5, 5, (), TOLD_WITHIN, laboratory=_whole(LABORATORIES)),
+    "beside": Family(_beside, len(CATALOGUED), len(CATALOGUED), (), TOLD_WITHIN, laboratory=_clear_imperfection),
+    "mistake": Family(_none, len(MISTAKES), len(MISTAKES), (), TOLD_WITHIN, laboratory=_whole(MISTAKES), is_true=True),
+    "low_rate": Family(_every_other, 2 * len(CATALOGUED), 12, (), TOLD_WITHIN, _twice_three, _whole(LOW_RATES, 2)),
 }
 """Of valves within their tolerances, recorded with errors; run where they are asked for by `--only`."""
 BENCHES: Final[Mapping[str, Family]] = {
+    "actuator": Family(_actuator, actuators.ROUND, actuators.ROUND, (), bench=actuators.bench),
     "hard": Family(_hard, len(HARD), len(HARD), (), bench=lambda seed, _: HARD[seed % len(HARD)].bench(),
                    wanted=dict.fromkeys(hard.FAULTS, 0.0)),
     "coil_none": Family(_none, 1, 3, (), bench=coil.bench, wanted=coil.WANTED),
@@ -546,7 +562,7 @@ FAMILIES: Final[Mapping[str, Family]] = {**EXACT, **WITHIN, **RECORDED, **BENCHE
 """In the order in which they are run and reported; those of `WITHIN` and `RECORDED` with tolerances."""
 
 
-def planned(rounds: range, families: tuple[str, ...], *, is_slice: bool) -> list[tuple[str, int]]:
+def planned(rounds: range, families: Collection[str], *, is_slice: bool) -> list[tuple[str, int]]:
     """Family and seed of every case."""
     return [
         (name, seed)

@@ -15,7 +15,7 @@ import numpy as np
 from plants import coil_alone, tolerances
 
 from benchmarks.campaign.bench import Bench, Measured
-from valve_sim.identification.diagnosis.run import Diagnosis
+from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
 from valve_sim.identification.estimation.followed_positions import followed_positions
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.model import Drive, Valve, published_times, simulate
@@ -92,9 +92,7 @@ def bench(seed: int, missing: str, *, by_position: bool = False) -> Bench:
     words = f"{build.resistance:.1f} Ω, {'clamp' if build.clamp_voltage else 'short'}, {1e3 * noise:.1f} mA"
     return Bench(
         f"{words}, {1e-3 * rate:g} kHz, {'voltage' if has_voltage else 'no voltage'}",
-        Valve.from_mapping(mapping, f"case {seed}"),
-        [parts[0].trace],
-        [parts[1].trace],
+        lambda: diagnose([parts[0].trace], [parts[1].trace], Valve.from_mapping(mapping, f"case {seed}")),
         lambda found: _judged(found, parts, true_times),
     )
 

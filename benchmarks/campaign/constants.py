@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final, NamedTuple
 from unittest import mock
 
-from benchmarks.campaign.figures import is_misnamed, standing
 from benchmarks.campaign.running import Answer, Outcome, grounds_of
+from benchmarks.campaign.tables import is_misnamed, standing
+from benchmarks.common import Column, in_columns
 from valve_sim.identification.selection import posterior
 
 
@@ -52,25 +52,24 @@ def answered(answer: Answer, changed: Mapping[str, float]) -> Answer:
 def constants_table(outcomes: Sequence[Outcome]) -> str:
     """For each constant, how many verdicts become others, and how many are confidently wrong."""
     known = [one for one in outcomes if one.answers and all(answer.grounds for answer in one.answers)]
-    columns = ("unique", "class", "missed", "wrong")
-    lines = [
-        f"{'constant':<16}{'value':>8}{'differ':>8}"
-        + "".join(f"{name:>8}" for name in columns)
-        + f"{'≥ 0.9 wrong':>13}"
-    ]
-    lines.append(_row("as they are", "", known, known))
+    before = list(map(standing, known))
+
+    def differ(found: Sequence[Outcome]) -> str:
+        return f"{sum(standing(one) != own for one, own in zip(found, before, strict=True))}"
+
+    def counted(label: str) -> Column:
+        return Column(label, 8, lambda found: f"{sum(standing(one) == label for one in found)}")
+
+    columns = (
+        Column("differ", 8, differ),
+        *map(counted, ("unique", "class", "missed", "wrong")),
+        Column("≥ 0.9 wrong", 13, lambda found: f"{sum(map(is_misnamed, found))}"),
+    )
+    rows: dict[str, Sequence[Outcome]] = {"as they are": known}
     for constant in CONSTANTS:
         for value in (constant.less, constant.more):
-            found = [
+            rows[f"{constant.name:<16}{f'{value:.3g}':>8}"] = [
                 replace(one, answers=tuple(answered(answer, {constant.name: value}) for answer in one.answers))
                 for one in known
             ]
-            lines.append(_row(constant.name, f"{value:.3g}", known, found))
-    return "\n".join(lines)
-
-
-def _row(name: str, value: str, before: Sequence[Outcome], after: Sequence[Outcome]) -> str:
-    differ = sum(standing(one) != standing(other) for one, other in zip(before, after, strict=True))
-    counts = Counter(map(standing, after))
-    shown = "".join(f"{counts[column]:>8}" for column in ("unique", "class", "missed", "wrong"))
-    return f"{name:<16}{value:>8}{differ:>8}{shown}{sum(map(is_misnamed, after)):>13}"
+    return in_columns(f"{'constant':<16}{'value':>8}", 24, columns, rows)

@@ -146,23 +146,6 @@ UNCATALOGUED: Final[Mapping[str, Scale]] = {
 }
 """Plant (a)'s disturbances without a name in the catalogue, by size."""
 
-EARLIER_LIMITS: Final[Mapping[str, float]] = {
-    "coulomb_friction": 1.5e-3,
-    "constant_force": 2.4e-3,
-    "rest_attraction": 6e-3,
-    "pressure_force": 27e-3,
-    "drive_gain": 4e-4,
-    "coil_lag": 2.4e-6,
-    "coil_heating": 0.2,
-    "quadratic_drag": 0.26,
-    "squeeze_film": 0.3,
-    "stop_bounce": 0.03,
-    "pickup_impact": 1.3e-3,
-    "stroke_offset": 0.05e-6,
-    "sensor_gain": 5e-5,
-}
-"""Sizes at the detection limit by earlier measurements of such recordings, to compare with."""
-
 CONFUSION_CLASSES: Final = (
     {"coulomb_friction", "stiction", "asymmetric_friction", "squeeze_film"},
     {"stroke_offset", "sensor_gain"},

@@ -23,7 +23,8 @@ from plants.recording import record as measured
 from benchmarks.campaign.bench import Bench, Measured
 from benchmarks.campaign.declared import as_trace, declared_valve
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.diagnosis.run import Diagnosis
+from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
+from valve_sim.identification.estimation.budget import Budget
 from valve_sim.model import Drive, Valve
 from valve_sim.traces import Trace, read_trace, write_bag
 from valve_sim.traces.synthetic import Sensor, record
@@ -62,7 +63,10 @@ class Case:
 
     def bench(self) -> Bench:
         """Its recordings, for the campaign."""
-        return Bench(f"{self.kind} {self.seed}", self.declared, self.make(self.seed), [], self.faults, BUDGET)
+        traces, budget = self.make(self.seed), Budget.of_seconds(BUDGET)
+        return Bench(
+            f"{self.kind} {self.seed}", lambda: diagnose(traces, [], self.declared, budget=budget), self.faults
+        )
 
     def faults(self, found: Diagnosis) -> Measured:
         """What must not be; 1 for each that is."""

@@ -16,7 +16,8 @@ from plants import tolerances
 from plants.gas import GasValve
 
 from benchmarks.campaign.bench import Bench, Measured
-from valve_sim.identification.diagnosis.run import Diagnosis
+from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
+from valve_sim.identification.estimation.budget import Budget
 from valve_sim.identification.selection.search import Search
 from valve_sim.model import Drive, Valve, simulate
 from valve_sim.traces import Signal, Trace
@@ -63,7 +64,9 @@ def bench(seed: int, missing: str) -> Bench:
     """A valve whose file lacks one of `EFFECTS` or, where `missing` is empty, nothing."""
     case = drawn(seed, missing)
     return Bench(
-        case.words, case.declared, case.training, case.held_out, lambda found: _judged(found, case, missing), SECONDS
+        case.words,
+        lambda: diagnose(case.training, case.held_out, case.declared, budget=Budget.of_seconds(SECONDS)),
+        lambda found: _judged(found, case, missing),
     )
 
 

@@ -1,37 +1,29 @@
-"""Runs cases: record, diagnose blindly, compare; and times `valve-sim diagnose` in cold processes."""
+"""Runs cases: record, diagnose blindly, compare with the truth."""
 
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
-import tempfile
 import time
 import traceback
-from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
-from multiprocessing import get_context
-from pathlib import Path
+from functools import partial
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from plants.laboratory import drift_over_strokes, true_sizes
-from plants.recording import Recording, write_bag
+from plants.recording import Recording
 
 from benchmarks.campaign.bench import Bench, Measured
-from benchmarks.campaign.cases import FORMED_OTHERWISE, Case, draw_case
+from benchmarks.campaign.cases import Case, draw_case
 from benchmarks.campaign.declared import as_trace
 from benchmarks.campaign.effects import UNCATALOGUED
-from valve_sim.files.parameter_files import save_valve
+from benchmarks.common import in_processes
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
-from valve_sim.identification.estimation.budget import Budget
 from valve_sim.identification.plants.tolerances import SAME_AS, principal_axes
 from valve_sim.identification.reporting.summary import recording_advice
 from valve_sim.identification.selection.posterior import Evidence, Grounds, Rivals
-from valve_sim.model import Valve
 from valve_sim.model.parameters import POLYNOMIAL_NAMES
-from valve_sim.traces import Trace
 
 LARGEST_CLASS: Final = 4
 """A class of more names is no answer."""
@@ -43,8 +35,6 @@ NORMAL_95: Final = 1.96
 """Standard errors on either side of an estimate in 95 % of cases."""
 CONFIDENT: Final = 0.9
 """Probability from which a claim must be right."""
-PATIENCE: Final = 900.0
-"""s, for one cold process."""
 SAME_THING: Final = {
     "valve.stroke": "stroke_offset",
     "valve.pilot_gap": "gap_offset",
@@ -54,7 +44,6 @@ SAME_THING: Final = {
     "valve.pickup_velocity_ratio": "pickup_impact",
 }
 """Declared values that are wrong, by the name of the effect that is the same thing."""
-REPOSITORY: Final = Path(__file__).resolve().parents[2]
 
 
 @dataclass(frozen=True)
@@ -160,39 +149,6 @@ class Outcome:
         )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Timing:
-    """A cold process: s of wall clock, and the last line on stderr if it failed."""
-
-    family: str
-    seed: int
-    seconds: float
-    error: str = ""
-
-    def to_json(self) -> dict[str, Any]:
-        """All of it."""
-        return {"name": f"time {self.family}:{self.seed}", **asdict(self)}
-
-
-@dataclass(frozen=True)
-class Cost:
-    """What tolerances cost: CPU s of a diagnosis that is told the true values exactly, and of one within tolerances."""
-
-    family: str
-    seed: int
-    exact: float
-    within: float
-
-    @property
-    def ratio(self) -> float:
-        """The second over the first."""
-        return self.within / self.exact
-
-    def to_json(self) -> dict[str, Any]:
-        """All of it, and the ratio."""
-        return {"name": f"cost {self.family}:{self.seed}", **asdict(self), "ratio": self.ratio}
-
-
 def is_named(case: Case, answer: Answer) -> bool:
     """Whether an answer claims exactly what is true, and no other name would do."""
     named = {_plain(name) for name in answer.effects}
@@ -213,7 +169,7 @@ def is_in_class(case: Case, answer: Answer) -> bool:
 
 def is_unnamed(case: Case) -> bool:
     """Whether something acts that has no name: an uncatalogued effect, or a form that is not the declared one."""
-    return case.family in FORMED_OTHERWISE or any(name in UNCATALOGUED for name in case.truth)
+    return not case.origin.sheet or any(name in UNCATALOGUED for name in case.truth)
 
 
 def _plain(name: str) -> str:
@@ -226,9 +182,9 @@ def true_names(case: Case) -> set[str]:
     return {_plain(name) for name in case.truth if name not in UNCATALOGUED}
 
 
-def run_case(family: str, seed: int) -> Outcome:
-    """Draw, record and diagnose one case; an exception becomes its error."""
-    case = draw_case(family, seed)
+def run_case(place: tuple[str, int]) -> Outcome:
+    """Draw, record and diagnose the case of a family and a seed; an exception becomes its error."""
+    case = draw_case(*place)
     try:
         return examine(case)[0]
     except Exception:
@@ -243,11 +199,11 @@ def examine(case: Case) -> tuple[Outcome, tuple[Diagnosis, ...]]:
     traces = [as_trace(recording, f"bag {number}") for number, recording in enumerate(recordings, 1)]
     noise = _noise(recordings[-1])
     if case.family == "opening":
-        opening, advised = _timed(traces[:1], [], case.declared), _timed(traces[1:], [], case.declared)
+        opening, advised = (_timed(partial(diagnose, [trace], [], case.declared)) for trace in traces)
         answers = (_answer(opening), _answer(advised))
         advice = recording_advice(opening.diagnosis)
         return Outcome(case, answers, noise, None, advice), (opening.diagnosis, advised.diagnosis)
-    timed = _timed(traces[:-1], traces[-1:], case.declared)
+    timed = _timed(partial(diagnose, traces[:-1], traces[-1:], case.declared))
     answer = replace(_answer(timed), in_bands=_in_bands(case, timed.diagnosis, recordings[-1]))
     covered = None
     if is_right(case, answer):
@@ -257,7 +213,7 @@ def examine(case: Case) -> tuple[Outcome, tuple[Diagnosis, ...]]:
 
 
 def _on_bench(case: Case, bench: Bench) -> tuple[Outcome, tuple[Diagnosis, ...]]:
-    timed = _timed(bench.training, bench.held_out, bench.declared, bench.budget)
+    timed = _timed(bench.diagnose)
     measured = {name: _finite(value) for name, value in bench.judge(timed.diagnosis).items()}
     advice = recording_advice(timed.diagnosis)
     return Outcome(case, (_answer(timed),), advice=advice, measured=measured), (timed.diagnosis,)
@@ -278,9 +234,9 @@ class _Timed(NamedTuple):
     cpu_seconds: float
 
 
-def _timed(traces: Sequence[Trace], holdout: Sequence[Trace], declared: Valve, budget: Budget | None = None) -> _Timed:
+def _timed(work: Callable[[], Diagnosis]) -> _Timed:
     started, computed = time.perf_counter(), time.process_time()
-    diagnosis = diagnose(traces, holdout, declared, budget=budget)
+    diagnosis = work()
     return _Timed(diagnosis, time.perf_counter() - started, time.process_time() - computed)
 
 
@@ -375,16 +331,6 @@ def _noise(recording: Recording) -> float:
     return 1e6 * float(np.sqrt(np.mean(np.square(recording.pilot_position - recording.truth.pilot_position))))
 
 
-def cost_of(family: str, seed: int) -> Cost:
-    """Diagnose a case of the families with tolerances twice; first once more, so that both find everything compiled."""
-    case = draw_case(family, seed)
-    first, second = case.recordings()
-    train, holdout = [as_trace(first, "first bag")], [as_trace(second, "second bag")]
-    _timed(train, holdout, case.declared)
-    exact = _timed(train, holdout, case.declared_exactly).cpu_seconds
-    return Cost(family, seed, exact, _timed(train, holdout, case.declared).cpu_seconds)
-
-
 def _coverage(case: Case, answer: Answer, diagnosis: Diagnosis) -> dict[str, bool]:
     true = true_effects(case)
     intervals = diagnosis.after.intervals
@@ -447,38 +393,10 @@ def true_declared(case: Case) -> dict[str, float]:
 
 
 def run_cases(plan: Sequence[tuple[str, int]], jobs: int) -> Iterator[Outcome]:
-    """Outcomes as they come, from so many processes."""
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        futures = {pool.submit(run_case, family, seed): (family, seed) for family, seed in plan}
-        for future in as_completed(futures):
-            error = future.exception()
-            if error is None:
-                yield future.result()
-            else:
-                yield Outcome(draw_case(*futures[future]), error=f"{type(error).__name__}: {error}")
-
-
-def time_cold(family: str, seed: int) -> Timing:
-    """Write the bags of a case and time `python -m valve_sim diagnose` on them."""
-    case = draw_case(family, seed)
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        train, holdout = (
-            write_bag(recording, folder / bag)
-            for recording, bag in zip(case.recordings(), ("train", "holdout"), strict=True)
-        )
-        save_valve(folder / "declared.yaml", case.declared, "the campaign's declared valve")
-        command = [sys.executable, "-m", "valve_sim", "diagnose", str(train), "--holdout", str(holdout)]
-        command += ["--params", str(folder / "declared.yaml"), "--output", str(folder / "results")]
-        started = time.perf_counter()
-        try:
-            done = subprocess.run(
-                command, cwd=REPOSITORY, capture_output=True, text=True, timeout=PATIENCE, check=False
-            )
-        except subprocess.TimeoutExpired:
-            return Timing(family, seed, PATIENCE, f"not done after {PATIENCE:g} s")
-        seconds = time.perf_counter() - started
-    if done.returncode == 0:
-        return Timing(family, seed, seconds)
-    last = "".join(done.stderr.strip().splitlines()[-1:])
-    return Timing(family, seed, seconds, f"exit {done.returncode}: {last}")
+    """Outcomes of families and seeds as they come, from so many processes; one that was killed is an error."""
+    for (family, seed), future in in_processes(run_case, plan, jobs):
+        error = future.exception()
+        if error is None:
+            yield future.result()
+        else:
+            yield Outcome(draw_case(family, seed), error=f"{type(error).__name__}: {error}")

@@ -85,8 +85,29 @@ class Heater:
         return [shown]
 
 
+Spoil = Callable[[Array, Random], Any]
+"""Makes another array, or something else, of a sound one."""
 Slip = Callable[[Heater, Random], Any]
 """Spoils a plant."""
+
+
+def _holed(values: Array, random: Random, hole: float = np.nan) -> Array:
+    values = np.array(values, dtype=np.float64)
+    values[random.integers(0, len(values), random.integers(1, 5))] = hole
+    return values
+
+
+SPOILT: Final[Sequence[Spoil]] = (
+    _holed,
+    lambda values, random: _holed(values, random, np.inf),
+    lambda values, random: _holed(values, random, -np.inf),
+    lambda values, random: values[: -int(random.integers(1, min(len(values), 9)))],
+    lambda values, random: values[:, None],
+    lambda values, random: values.astype(complex),
+    lambda values, random: values.astype(object),
+    lambda values, random: values.astype(str),
+)
+"""What no array may be, wherever it stands: with holes, too short, a column, complex, of objects, of words."""
 
 
 def _in_channel(column: str, spoil: Callable[[Array, Random], Any]) -> Slip:
@@ -97,19 +118,24 @@ def _in_channel(column: str, spoil: Callable[[Array, Random], Any]) -> Slip:
     return slip
 
 
-def _in_prediction(spoil: Callable[[Array, Random], Any], *, during: str = "") -> Slip:
-    """Of all predictions, or of those in which a name is given."""
+def _in_predictions(spoil: Callable[[Array], Any], *, during: str = "") -> Slip:
+    """Something else in place of all predictions, or of those in which a name is given."""
 
     def slip(plant: Heater, random: Random) -> None:
         sound = plant.predict
 
         def predict(values: Mapping[str, float]) -> Any:
             (shown,) = sound(values)
-            return spoil(shown, random) if not during or during in values else [shown]
+            return spoil(shown) if not during or during in values else [shown]
 
         plant.predict = predict  # type: ignore[method-assign]
 
     return slip
+
+
+def _in_prediction(spoil: Spoil, *, during: str = "") -> Slip:
+    """Something else in place of the one channel's prediction."""
+    return lambda plant, random: _in_predictions(lambda shown: [spoil(shown, random)], during=during)(plant, random)
 
 
 def _with(**members: Any) -> Slip:
@@ -147,12 +173,6 @@ def _without(member: str) -> Slip:
             setattr(plant, member, None)
 
     return slip
-
-
-def _holed(values: Array, random: Random, hole: float = np.nan) -> Array:
-    values = np.asarray(values, dtype=np.float64)
-    values[random.integers(0, len(values), random.integers(1, 5))] = hole
-    return values
 
 
 def _raising(kind: type[Exception], message: str, *, during: str = "", above: float = -np.inf) -> Slip:
@@ -214,134 +234,91 @@ def _declared_as(value: Any) -> Slip:
     return _with(declared=lambda name: value)
 
 
-SLIPS: Final[Mapping[str, Sequence[Slip]]] = {
-    "NaN": (
-        _in_channel("data", _holed),
-        _in_channel("data", lambda values, random: _holed(values, random, np.inf)),
-        _in_channel("times", _holed),
-        _in_prediction(lambda shown, random: [_holed(shown, random)]),
-        _in_prediction(lambda shown, random: [_holed(shown, random, -np.inf)]),
-        _in_prediction(lambda shown, random: [_holed(shown, random)], during="drift.rate"),
-        _in_prediction(lambda shown, random: [_holed(shown, random)], during="gain"),
-        _declared_as(np.nan),
-        _with_parameter(lower=np.nan),
-        _with_parameter(prior_scale=np.nan),
-        _with_nuisance(sigma=np.nan),
-        _with_nuisance(mean=np.inf),
-    ),
-    "wrong shape": (
-        _in_prediction(lambda shown, random: [shown[: -int(random.integers(1, 9))]]),
-        _in_prediction(lambda shown, random: [np.append(shown, 0.0)]),
-        _in_prediction(lambda shown, random: [shown[:, None]]),
-        _in_prediction(lambda shown, random: [shown[:-1]], during="radiation.coefficient"),
-        _in_prediction(lambda shown, random: shown),
-        _in_prediction(lambda shown, random: [shown, shown]),
-        _in_prediction(lambda shown, random: []),
-        _in_prediction(lambda shown, random: None),
-        _in_prediction(lambda shown, random: (part for part in [shown])),
-        _in_prediction(lambda shown, random: [float(shown[0])]),
-        _in_channel("data", lambda values, random: values[:-1]),
-        _in_channel("data", lambda values, random: values[:, None]),
-        _in_channel("times", lambda values, random: values[:-1]),
-        _in_channel("quiet", lambda values, random: values[1:]),
-        _in_channel("group", lambda values, random: values[: SAMPLES // 2]),
-        _in_channel("data", lambda values, random: values.tolist()),
-        _in_channel("times", lambda values, random: values[::-1]),
-        _in_channel("group", lambda values, random: values - 1),
-        _with(channels=()),
-        _with_nuisance(channels=(1,)),
-    ),
-    "wrong name": (
-        _misspelt,
-        _misspelt_in_predict,
-        _misspelt_effect,
-        _forgotten_parameter,
-        _with(base="gain"),
-        _with(base=("gain", "gain")),
-        _with(nuisances=(Nuisance("zero", 0.1, "K"), Nuisance("zero", 0.2, "K"))),
-        _with(nuisances=(Nuisance("zero", 0.1, "K", is_of_machine=True, same_as="drift.rate"),)),
-        _with(force_maps=(ForceMap("t", ("curve.c0", "curve.c1"), {}, 0.0, 1.0, "s", "curve.count"),)),
-        *(_without(member) for member in ("channels", "base", "effects", "nuisances", "force_maps", "experiments")),
-        *(_without(member) for member in ("parameter", "declared", "predict", "timing_errors")),
-    ),
-    "raises": (
-        _raising(KeyError, "gian"),
-        _raising(ValueError, "math domain error", during="drift.rate"),
-        _raising(IndexError, "index 400 is out of bounds\nfor axis 0 with size 400"),
-        _raising(ZeroDivisionError, "division by zero"),
-        _raising(TypeError, "unsupported operand", above=1.5),
-        _raising(RuntimeError, "", above=1.2),
-        _raising(AssertionError, "", during="radiation.coefficient"),
-        _raising(MemoryError, "", during="gain"),
-        _raising_property,
-        _with(parameter=lambda name: 1 / 0),
-        _with(declared=lambda name: {}["nothing"]),
-    ),
-    "complex": (
-        _in_prediction(lambda shown, random: [shown.astype(complex)]),
-        _in_prediction(lambda shown, random: [np.sqrt(shown.astype(complex) - 1.0)], during="drift.rate"),
-        _in_channel("data", lambda values, random: values.astype(complex)),
-        _in_channel("times", lambda values, random: values.astype(complex)),
-        _declared_as(1.0 + 0.0j),
-    ),
-    "wrong type": (
-        _in_prediction(lambda shown, random: [shown.astype(object)]),
-        _in_prediction(lambda shown, random: [shown.astype(str)]),
-        _in_prediction(lambda shown, random: [shown.astype(np.int64)]),
-        _in_prediction(lambda shown, random: [shown.tolist()]),
-        _in_prediction(lambda shown, random: [np.ma.masked_array(shown).tolist()], during="gain"),
-        _in_channel("data", lambda values, random: values.astype(object)),
-        _in_channel("data", lambda values, random: (100.0 * values).astype(np.int32)),
-        _in_channel("quiet", lambda values, random: values.astype(np.float64)),
-        _in_channel("group", lambda values, random: values.astype(np.float64)),
-        _declared_as("1.0"),
-        _declared_as(None),
-        _with(effects=["radiation", "drift"]),
-        _with(nuisances=({"name": "zero", "sigma": 0.1},)),
-        _with_parameter(lower=5.0, upper=-5.0),
-        _with_parameter(prior_scale=0.0),
-        _with_parameter(off="0"),
-        _with_nuisance(sigma=0.0),
-        _with_nuisance(sigma=-0.1),
-        _with_nuisance(step=0.0),
-        _with(channels=[{"data": np.zeros(4)}]),
-        *(_with(**{member: None}) for member in ("effects", "nuisances", "timing_errors", "force_maps", "experiments")),
-        _with(effects={"drift": EffectChoice("drift", ("rate",))}),  # type: ignore[arg-type]
-        _with(effects={"drift": EffectChoice("drift", ())}),
-        _with(base=(1,)),
-        _with(base=(["gain"],)),
-        _with_nuisance(channels=("first",)),
-    ),
-}
+MEMBERS: Final = ("channels", "base", "effects", "nuisances", "force_maps", "experiments")
+SLIPS: Final[Sequence[Slip]] = (
+    *(_in_channel(column, spoil) for column in ("data", "times") for spoil in SPOILT),
+    *(_in_prediction(spoil, during=name) for name in ("", "gain", "drift.rate") for spoil in SPOILT),
+    # Of another shape.
+    _in_prediction(lambda shown, random: [shown]),
+    _in_prediction(lambda shown, random: np.append(shown, 0.0)),
+    _in_prediction(lambda shown, random: float(shown[0])),
+    *(_in_predictions(spoil) for spoil in (
+        lambda shown: shown, lambda shown: [shown, shown], lambda shown: [], lambda shown: None,
+        lambda shown: (part for part in [shown]),
+    )),
+    _in_channel("data", lambda values, random: values.tolist()),
+    _in_channel("times", lambda values, random: values[::-1]),
+    _in_channel("quiet", lambda values, random: values[1:]),
+    _in_channel("group", lambda values, random: values[: SAMPLES // 2]),
+    _in_channel("group", lambda values, random: values - 1),
+    _with(channels=()),
+    _with_nuisance(channels=(1,)),
+    # Of another name.
+    _misspelt,
+    _misspelt_in_predict,
+    _misspelt_effect,
+    _forgotten_parameter,
+    _with(base="gain"),
+    _with(base=("gain", "gain")),
+    _with(nuisances=(Nuisance("zero", 0.1, "K"), Nuisance("zero", 0.2, "K"))),
+    _with(nuisances=(Nuisance("zero", 0.1, "K", is_of_machine=True, same_as="drift.rate"),)),
+    _with(force_maps=(ForceMap("t", ("curve.c0", "curve.c1"), {}, 0.0, 1.0, "s", "curve.count"),)),
+    *(_without(member) for member in (*MEMBERS, "parameter", "declared", "predict", "timing_errors")),
+    # Raising.
+    _raising(KeyError, "gian"),
+    _raising(ValueError, "math domain error", during="drift.rate"),
+    _raising(IndexError, "index 400 is out of bounds\nfor axis 0 with size 400"),
+    _raising(ZeroDivisionError, "division by zero"),
+    _raising(TypeError, "unsupported operand", above=1.5),
+    _raising(RuntimeError, "", above=1.2),
+    _raising(AssertionError, "", during="radiation.coefficient"),
+    _raising(MemoryError, "", during="gain"),
+    _raising_property,
+    _with(parameter=lambda name: 1 / 0),
+    _with(declared=lambda name: {}["nothing"]),
+    # Of another type or value.
+    _in_prediction(lambda shown, random: shown.astype(np.int64)),
+    _in_prediction(lambda shown, random: shown.tolist()),
+    _in_channel("data", lambda values, random: (100.0 * values).astype(np.int32)),
+    _in_channel("quiet", lambda values, random: values.astype(np.float64)),
+    _in_channel("group", lambda values, random: values.astype(np.float64)),
+    *(_declared_as(value) for value in (np.nan, 1.0 + 0.0j, "1.0", None)),
+    _with(effects=["radiation", "drift"]),
+    _with(nuisances=({"name": "zero", "sigma": 0.1},)),
+    *(_with_parameter(**changes) for changes in (
+        {"lower": np.nan}, {"prior_scale": np.nan}, {"lower": 5.0, "upper": -5.0}, {"prior_scale": 0.0}, {"off": "0"},
+    )),
+    *(_with_nuisance(**changes) for changes in (
+        {"sigma": np.nan}, {"mean": np.inf}, {"sigma": 0.0}, {"sigma": -0.1}, {"step": 0.0}, {"channels": ("first",)},
+    )),
+    _with(channels=[{"data": np.zeros(4)}]),
+    *(_with(**{member: None}) for member in MEMBERS[2:]),
+    _with(timing_errors=None),
+    _with(effects={"drift": EffectChoice("drift", ("rate",))}),  # type: ignore[arg-type]
+    _with(effects={"drift": EffectChoice("drift", ())}),
+    _with(base=(1,)),
+    _with(base=(["gain"],)),
+)  # fmt: skip
 """What may be wrong with a plant."""
-
-
-def spoilt_plant(number: int) -> tuple[str, Heater]:
-    """A slip, and the plant that has it."""
-    random = np.random.default_rng([number, 1])
-    kind = list(SLIPS)[number % len(SLIPS)]
-    slips = SLIPS[kind]
-    plant = Heater(number)
-    spoilt = slips[int(random.integers(0, len(slips)))](plant, random)
-    return kind, spoilt if isinstance(spoilt, Heater) else plant
 
 
 def try_plant(number: int) -> Outcome:
     """Diagnose a plant with a slip."""
-    kind, plant = spoilt_plant(number)
-    return _tried(kind, lambda: diagnose_plant(plant, None), "Heater")
+    random = np.random.default_rng([number, 1])
+    plant = Heater(number)
+    spoilt = SLIPS[number % len(SLIPS)](plant, random)
+    return _tried(lambda: diagnose_plant(spoilt if isinstance(spoilt, Heater) else plant, None), "Heater")
 
 
 class Outcome(NamedTuple):
-    """What became of a case: its kind, the error's type, its message, and what is not as it should be, or nothing."""
+    """What became of a case: the error's type, its message, and what is not as it should be, or nothing."""
 
-    kind: str
     error: str
     message: str
     fault: str
 
 
-def _tried(kind: str, work: Callable[[], object], place: str) -> Outcome:
+def _tried(work: Callable[[], object], place: str) -> Outcome:
     """One typed error of one line that names the place is as it should be."""
     try:
         work()
@@ -353,10 +330,10 @@ def _tried(kind: str, work: Callable[[], object], place: str) -> Outcome:
             "too long": len(message) > LONGEST,
             "does not say where": place not in message,
         }
-        return Outcome(kind, type(error).__name__, message, ", ".join(name for name, found in faults.items() if found))
+        return Outcome(type(error).__name__, message, ", ".join(name for name, found in faults.items() if found))
     except Exception as error:
-        return Outcome(kind, type(error).__name__, str(error), "not a typed error")
-    return Outcome(kind, "", "", "no error")
+        return Outcome(type(error).__name__, str(error), "not a typed error")
+    return Outcome("", "", "no error")
 
 
 # -- recordings --------------------------------------------------------------------------------------------------------
@@ -404,47 +381,32 @@ def _column(trace: Trace, column: str) -> Array:
 Defect = Callable[[Trace, Random], Any]
 
 
-def _in_column(spoil: Callable[[Array, Random], Any], *columns: str) -> Defect:
-    def defect(trace: Trace, random: Random) -> Trace:
-        column = str(random.choice(columns or COLUMNS))
-        return _with_column(trace, column, spoil(_column(trace, column), random))
-
-    return defect
+def _in_column(spoil: Spoil, column: str) -> Defect:
+    return lambda trace, random: _with_column(trace, column, spoil(_column(trace, column), random))
 
 
 TIMES: Final = ("times", "drive.times", "coil_current.times")
-DEFECTS: Final[Mapping[str, Sequence[Defect]]] = {
-    "NaN": (_in_column(_holed), _in_column(lambda values, random: _holed(values, random, np.inf))),
-    "wrong shape": (
-        _in_column(lambda values, random: values[: -int(random.integers(1, min(len(values), 9)))]),
-        _in_column(lambda values, random: values[:, None]),
-        _in_column(lambda values, random: np.float64(values[0])),
-        _in_column(lambda values, random: values.tolist()),
-    ),
-    "wrong type": (
-        _in_column(lambda values, random: values.astype(complex)),
-        _in_column(lambda values, random: values.astype(object)),
-        _in_column(lambda values, random: values.astype(str)),
-        _in_column(lambda values, random: (1e6 * values).astype(np.int64)),
-        _in_column(lambda values, random: None, "times", "pilot_position", "drive.times", "coil_current.values"),
-        lambda trace, random: replace(trace, drive=(0.0, 9.0)),
-        lambda trace, random: replace(trace, coil_current=trace.coil_current.values),  # type: ignore[union-attr]
-        lambda trace, random: {"made.mcap": trace},
-        lambda trace, random: [str(trace.source)],
-        lambda trace, random: trace,
-    ),
-    "wrong order": (
-        _in_column(lambda values, random: values[::-1], *TIMES),
-        _in_column(lambda values, random: random.permutation(values), *TIMES),
-        _in_column(lambda values, random: np.full(len(values), values[0]), "times"),
-    ),
-    "too few": (
-        lambda trace, random: [],
-        lambda trace, random: replace(trace, drive=Drive.of([], [])),
-        lambda trace, random: _few(trace, 0),
-        lambda trace, random: _few(trace, int(random.integers(1, 3))),
-    ),
-}
+DEFECTS: Final[Sequence[Defect]] = (
+    *(_in_column(spoil, column) for column in COLUMNS for spoil in SPOILT),
+    *(_in_column(lambda values, random: np.float64(values[0]), column) for column in COLUMNS),
+    *(_in_column(lambda values, random: values.tolist(), column) for column in COLUMNS),
+    *(_in_column(lambda values, random: (1e6 * values).astype(np.int64), column) for column in COLUMNS),
+    *(_in_column(lambda values, random: None, column) for column in (
+        "times", "pilot_position", "drive.times", "coil_current.values",
+    )),
+    *(_in_column(lambda values, random: values[::-1], column) for column in TIMES),
+    *(_in_column(lambda values, random: random.permutation(values), column) for column in TIMES),
+    _in_column(lambda values, random: np.full(len(values), values[0]), "times"),
+    lambda trace, random: replace(trace, drive=(0.0, 9.0)),
+    lambda trace, random: replace(trace, coil_current=trace.coil_current.values),  # type: ignore[union-attr]
+    lambda trace, random: {"made.mcap": trace},
+    lambda trace, random: [str(trace.source)],
+    lambda trace, random: trace,
+    lambda trace, random: [],
+    lambda trace, random: replace(trace, drive=Drive.of([], [])),
+    lambda trace, random: _few(trace, 0),
+    lambda trace, random: _few(trace, int(random.integers(1, 3))),
+)  # fmt: skip
 """What may be wrong with a recording."""
 
 
@@ -453,26 +415,18 @@ def _few(trace: Trace, count: int) -> Trace:
     return Trace(trace.source, trace.drive, trace.times[:count], trace.pilot_position[:count])
 
 
-def spoilt_recording(number: int) -> tuple[str, Any]:
-    """A defect, and the list of recordings that has it, as somebody might give it."""
-    random = np.random.default_rng([number, 2])
-    kind = list(DEFECTS)[number % len(DEFECTS)]
-    defects = DEFECTS[kind]
-    spoilt = defects[int(random.integers(0, len(defects)))](sound_trace(), random)
-    is_given_bare = spoilt is sound_trace()
-    return kind, spoilt if is_given_bare or not isinstance(spoilt, Trace) else [spoilt]
-
-
 def try_recording(number: int) -> Outcome:
-    """Diagnose, identify or validate with a spoilt recording; a diagnosis also where it is held out."""
-    kind, traces = spoilt_recording(number)
+    """Diagnose, identify or validate with a spoilt recording."""
+    spoilt = DEFECTS[number % len(DEFECTS)](sound_trace(), np.random.default_rng([number, 2]))
+    # A recording may be given bare, where a list is wanted.
+    traces = [spoilt] if isinstance(spoilt, Trace) and spoilt is not sound_trace() else spoilt
     valve = Valve.from_mapping(DECLARED, "the declared valve")
     uses: Sequence[Callable[[], object]] = (
         lambda: diagnose(traces, [], valve),
         lambda: identify(traces, valve),
         lambda: validate(traces, valve),
     )
-    return _tried(kind, uses[number % len(uses)], "")
+    return _tried(uses[number % len(uses)], "")
 
 
 # -- a plant that never returns ----------------------------------------------------------------------------------------

@@ -33,7 +33,8 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Bool, Float64, String, UInt8
 
-from benchmarks.nodes.driver import resident, ros
+from benchmarks.common import resident
+from benchmarks.nodes.driver import ros
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from identification.live_strokes import LiveValve
 from nodes.plant_on_topics import PlantOnTopics
-from nodes.ros_process import Probe, running
+from nodes.ros_process import Probe
 
 from benchmarks.monitoring.rigs import Healthy, drawn_valve
-from benchmarks.nodes.driver import ros, values_of
+from benchmarks.nodes.driver import program, ros, running, values_of
 from valve_sim.identification.monitoring.settings import MonitorSettings
 
 SLOWEST: Final = 500.0
@@ -63,11 +61,10 @@ class Beside:
 def beside(valve: LiveValve) -> Iterator[Beside]:
     """A monitor in a process of its own, ready."""
     names = ("measured:=measured/joint_states", "use_sim_time:=true", "max_rate:=1e5")
-    arguments = ["--ros-args", *(word for name in names for word in ("-p", name))]
-    with ros(), tempfile.TemporaryDirectory() as folder:
+    with ros():
         probe = Probe("/valve")
         try:
-            with running(Path(folder), arguments, "monitor_node"):
+            with running({"monitor": program("monitor_node", *names)}):
                 yield Beside(probe, valve)
         finally:
             probe.close()

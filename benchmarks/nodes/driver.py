@@ -99,18 +99,6 @@ def processor_seconds(process_id: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def resident(process_id: int) -> float:
-    """Memory that a process holds, MB."""
-    pages = int(Path(f"/proc/{process_id}/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
-
-
 def values_of(status: Any) -> dict[str, str]:
     """Keys and values of a status of diagnostics."""
     return {item.key: item.value for item in status.values}
-
-
-def say(is_good: bool, words: str) -> bool:
-    """Print a line that says whether a figure is as wanted; returns it."""
-    print(f"{'ok   ' if is_good else 'SHORT'} {words}", flush=True)
-    return is_good

@@ -6,12 +6,12 @@ are the valve's own (config/valve.yaml at 9 V). Needs ROS 2 and the extra modbus
 
 from __future__ import annotations
 
-import argparse
 import time
 
 import numpy as np
 from pymodbus.client import ModbusTcpClient
 
+from benchmarks.common import parser
 from benchmarks.nodes.driver import program, running
 
 PORT = 15020
@@ -43,9 +43,9 @@ def stroke_times(client: ModbusTcpClient, strokes: int, period: float) -> tuple[
 
 def main() -> None:
     """Measure, and print."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--strokes", type=int, default=100)
-    given = parser.parse_args()
+    known = parser("nodes.plc", __doc__)
+    known.add_argument("--strokes", type=int, default=100)
+    given = known.parse_args()
     nodes = {
         "valve": program("valve_node"),
         "plc": program("plc_node", f"port:={PORT}", "address:=127.0.0.1", package="station"),

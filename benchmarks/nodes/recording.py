@@ -9,7 +9,6 @@ Exit code 1 where that falls short; needs ROS 2.
 
 from __future__ import annotations
 
-import argparse
 import sys
 import tempfile
 import threading
@@ -24,7 +23,8 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import BatteryState, JointState
 from std_msgs.msg import Float64
 
-from benchmarks.nodes.driver import busy, program, ros, running, say, spinning
+from benchmarks.common import parser, say
+from benchmarks.nodes.driver import busy, program, ros, running, spinning
 from benchmarks.nodes.timing import AT_RATE
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.model import Drive, published_times, simulate
@@ -113,10 +113,10 @@ def arrivals(path: Path, messages: Sequence[Message]) -> np.ndarray:
 
 def main() -> int:
     """Record, compare and print; 1 if anything falls short."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--strokes", type=int, default=40)
-    parser.add_argument("--neighbours", type=int, default=8, help="busy processes (default 8)")
-    chosen = parser.parse_args()
+    known = parser("nodes.recording", __doc__)
+    known.add_argument("--strokes", type=int, default=40)
+    known.add_argument("--neighbours", type=int, default=8, help="busy processes (default 8)")
+    chosen = known.parse_args()
     with ros():
         messages = recorded(chosen.strokes, chosen.neighbours)
     t1, _ = published_times(simulate(default_valve(), Drive.of([0.0], [VOLTS]), [0.0, 0.04]))

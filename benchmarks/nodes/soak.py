@@ -13,18 +13,18 @@ and no drift. Exit code 1 where that falls short. Needs ROS 2; wall time is abou
 
 from __future__ import annotations
 
-import argparse
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from identification.live_strokes import LiveValve
 from nodes.plant_on_topics import PlantOnTopics
-from nodes.ros_process import Probe, running
+from nodes.ros_process import Probe
 
-from benchmarks.nodes.driver import resident, ros
+from benchmarks.common import parser, resident, say
+from benchmarks.nodes.driver import program, ros, running
 
 PERIOD: Final = 10.0
 """s from stroke to stroke."""
@@ -38,41 +38,25 @@ SECOND: Final = 1_000_000_000
 BAG: Final = Path(__file__).resolve().parents[2] / "bags" / "live.mcap"
 
 
-class Soaked(NamedTuple):
-    """What became of a node: strokes, resident MB after warming up and at the end, s that it lags behind the clock."""
+class Stroked(NamedTuple):
+    """How far a node is: its process, strokes so far, and s by which it lags behind the clock."""
 
-    node: str
+    process: int
     strokes: int
-    warm: float
-    end: float
     lag: float = 0.0
 
-    @property
-    def is_good(self) -> bool:
-        """Whether it neither grew nor drifted."""
-        return self.end - self.warm <= MOST_GROWTH and self.lag <= TICK
 
-    def line(self) -> str:
-        """For people."""
-        words = f"{self.strokes} strokes, {self.warm:.1f} MB after warming up, {self.end - self.warm:+.2f} MB since"
-        lag = f", {self.lag:g} s behind the clock" if self.node == "valve_node" else ""
-        return f"{'ok   ' if self.is_good else 'SHORT'} {self.node:<20} {words}{lag}"
-
-
-def soak_valve(strokes: int, folder: Path) -> Soaked:
+def soak_valve(strokes: int, folder: Path, probe: Probe) -> Iterator[Stroked]:
     """A clock, commands, and a valve that follows."""
     from rosgraph_msgs.msg import Clock
     from sensor_msgs.msg import JointState
     from std_msgs.msg import Float64
 
-    probe = Probe("/valve")
     clock, voltage = probe.talker("/clock", Clock), probe.talker("coil_voltage", Float64)
     states = probe.hear("joint_states", JointState)
-    arguments = ["--ros-args", "-p", "use_sim_time:=true", "-p", f"publish_rate:={1.0 / TICK}"]
-    ticks = round(PERIOD / TICK)
-    with running(folder, arguments) as node:
+    with running({"node": program("valve_node", "use_sim_time:=true", f"publish_rate:={1.0 / TICK}")}) as started:
         assert probe.until(lambda: clock.get_subscription_count() and voltage.get_subscription_count())
-        now, warm = 10 * SECOND, 0.0
+        now = 10 * SECOND
 
         def go_on() -> int:
             """One tick; ns that the valve then lags behind."""
@@ -88,17 +72,12 @@ def soak_valve(strokes: int, folder: Path) -> Soaked:
 
         while not states:
             go_on()
-        lag = 0
-        for stroke in range(strokes):
-            for tick in range(ticks):
+        for stroke in range(1, strokes + 1):
+            for tick in range(round(PERIOD / TICK)):
                 if tick in (0, 2):
                     voltage.publish(Float64(data=0.0 if tick else 9.0))
                 lag = go_on()
-            if stroke == round(WARM * strokes):
-                warm = resident(node.process.pid)
-        soaked = Soaked("valve_node", strokes, warm, resident(node.process.pid), lag / SECOND)
-    probe.close()
-    return soaked
+            yield Stroked(started["node"].pid, stroke, lag / SECOND)
 
 
 def stamp_of(message: Any) -> int:
@@ -106,66 +85,64 @@ def stamp_of(message: Any) -> int:
     return int(message.header.stamp.sec * SECOND + message.header.stamp.nanosec)
 
 
-def soak_monitor(strokes: int, folder: Path) -> Soaked:
+def soak_monitor(strokes: int, folder: Path, probe: Probe) -> Iterator[Stroked]:
     """The plant, and a monitor beside it."""
-    probe = Probe("/valve")
     plant = PlantOnTopics(probe, LiveValve(seed=1, rate=500.0))
     names = ("measured:=measured/joint_states", "use_sim_time:=true", "max_rate:=1e5")
-    arguments = ["--ros-args", *(word for name in names for word in ("-p", name))]
-    warm = 0.0
-    with running(folder, arguments, "monitor_node") as node:
+    with running({"node": program("monitor_node", *names)}) as started:
         plant.wait_for_monitor()
-        for stroke in range(strokes):
+        for stroke in range(1, strokes + 1):
             plant.stroke()
             plant.take_reports()
             plant.forget()
-            if stroke == round(WARM * strokes):
-                warm = resident(node.process.pid)
-        soaked = Soaked("monitor_node", strokes, warm, resident(node.process.pid))
-    probe.close()
-    return soaked
+            yield Stroked(started["node"].pid, stroke)
 
 
-def soak_identification(strokes: int, folder: Path) -> Soaked:
+def soak_identification(strokes: int, folder: Path, probe: Probe) -> Iterator[Stroked]:
     """A bag over and over."""
     from std_msgs.msg import Float64
 
-    probe = Probe("/identification")
-    commands = probe.hear("coil_voltage", Float64)
+    commands, replayed = probe.hear("/identification/coil_voltage", Float64), 0.0
     names = (f"bag:={BAG}", "rate:=0.0", "loop:=true", f"output:={folder}")
-    arguments = ["--ros-args", *(word for name in names for word in ("-p", name))]
-    warm, replayed = 0.0, 0.0
-    with running(folder, arguments, "identification_node") as node:
+    with running({"node": program("identification_node", *names)}) as started:
         while replayed < strokes:
             assert probe.until(lambda: len(commands) >= 20, 60.0), "the replay stands still"
             replayed += len(commands) / 2.0  # on and off
             commands.clear()
-            if not warm and replayed >= WARM * strokes:
-                warm = resident(node.process.pid)
-        soaked = Soaked("identification_node", round(replayed), warm, resident(node.process.pid))
-    probe.close()
-    return soaked
+            yield Stroked(started["node"].pid, round(replayed))
 
 
-NODES: Final[dict[str, Callable[[int, Path], Soaked]]] = {
+NODES: Final[dict[str, Callable[[int, Path, Probe], Iterator[Stroked]]]] = {
     "valve": soak_valve,
     "monitor": soak_monitor,
     "identification": soak_identification,
 }
 
 
+def soak(node: str, strokes: int) -> bool:
+    """Let a node work, and print what became of it; whether it neither grew nor drifted."""
+    warm = end = 0.0
+    probe, reached = Probe("/valve"), Stroked(0, 0)
+    with tempfile.TemporaryDirectory() as folder:
+        for reached in NODES[node](strokes, Path(folder), probe):
+            end = resident(reached.process)
+            if not warm and reached.strokes >= WARM * strokes:
+                warm = end
+    probe.close()
+    grown, lag = end - warm, reached.lag
+    words = f"{reached.strokes} strokes, {warm:.1f} MB after warming up, {grown:+.2f} MB since, {lag:g} s behind"
+    return say(grown <= MOST_GROWTH and lag <= TICK, f"{node}_node: {words}")
+
+
 def main() -> int:
     """Run and print; 1 if anything falls short."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--hours", type=float, default=24.0, help="of strokes")
-    parser.add_argument("--only", default=",".join(NODES), help=f"nodes, with commas (default: {','.join(NODES)})")
-    given = parser.parse_args()
-    rows = []
-    with ros(), tempfile.TemporaryDirectory() as name:
-        for node in given.only.split(","):
-            rows.append(NODES[node](round(3600.0 * given.hours / PERIOD), Path(name)))
-            print(rows[-1].line(), flush=True)
-    return 0 if all(row.is_good for row in rows) else 1
+    known = parser("nodes.soak", __doc__)
+    known.add_argument("--hours", type=float, default=24.0, help="of strokes")
+    known.add_argument("--only", default=",".join(NODES), help=f"nodes, with commas (default: {','.join(NODES)})")
+    given = known.parse_args()
+    with ros():
+        good = [soak(node, round(3600.0 * given.hours / PERIOD)) for node in given.only.split(",")]
+    return 0 if all(good) else 1
 
 
 if __name__ == "__main__":

@@ -19,24 +19,22 @@ Exit code 1 where a figure falls short; needs ROS 2.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
+import itertools
 import json
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rcl_interfaces.srv import SetParameters
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.parameter import Parameter
+from nodes.ros_process import Probe
 from sensor_msgs.msg import FluidPressure
 from std_msgs.msg import Float64, String
 
-from benchmarks.nodes.driver import busy, processor_seconds, program, ros, running, say, values_of
+from benchmarks.common import parser, say
+from benchmarks.nodes.driver import busy, processor_seconds, program, ros, running, values_of
 from valve_sim.files.resources import config_path
 
 TANKS: Final = ("tank_1", "tank_2", "tank_3")
@@ -85,120 +83,96 @@ class Hand:
     """Commands the valves, unless a dispenser does, and hears what the nodes say of themselves.
 
     Attributes:
-        lost: steps lost so far, by tank. made: strokes of each valve. reports: of each monitor, as it sent them.
-        findings: of each monitor. filled: vehicles.
+        probe: hears; its parameters are those of the faulty tank's valve. reports: of each monitor, as it sent them.
+        findings: of each monitor.
     """
 
     def __init__(self, rhythm: Rhythm, *, has_dispenser: bool = False) -> None:
         self.rhythm, self.has_dispenser = rhythm, has_dispenser
-        self.node = Node("station_benchmark")
-        self.executor = SingleThreadedExecutor()
-        self.executor.add_node(self.node)
-        self.lost: dict[str, int] = {}
-        self.arriving: set[str] = set()
-        self.made = dict.fromkeys(TANKS, 0)
-        self.reports: dict[str, list[dict[str, Any]]] = {tank: [] for tank in TANKS}
+        self.probe = Probe(f"/{FAULTY}/valve")
+        hear = self.probe.hear
+        self._diagnostics = hear("/diagnostics", DiagnosticArray)
+        self._vehicle = hear("/dispenser/vehicle_pressure", FluidPressure)
+        self._commands = {tank: hear(f"/{tank}/valve/coil_voltage", Float64) for tank in TANKS}
+        self.reports = {tank: hear(f"/{tank}/monitor/stroke_report", String) for tank in TANKS}
         self.findings: dict[str, list[Finding]] = {tank: [] for tank in TANKS}
-        self.filled, self._vehicle_pressure = 0, math.nan
-        self.voltages = {}
-        hear = self.node.create_subscription
-        hear(DiagnosticArray, "/diagnostics", self._hear_diagnostics, 100)
-        hear(FluidPressure, "/dispenser/vehicle_pressure", self._hear_vehicle, 10)
+        self._voltages = {}
         for tank in TANKS:
-            hear(String, f"/{tank}/monitor/stroke_report", self._keeper(tank), 1000)
-            hear(DiagnosticArray, f"/{tank}/monitor/finding", self._finder(tank), 1000)
-            if has_dispenser:
-                hear(Float64, f"/{tank}/valve/coil_voltage", self._counter(tank), 10)
-            else:
-                self.voltages[tank] = self.node.create_publisher(Float64, f"/{tank}/valve/coil_voltage", 10)
-
-    def _counter(self, tank: str) -> Callable[[Any], None]:
-        before = 0.0
-
-        def count(message: Any) -> None:
-            nonlocal before
-            self.made[tank] += before == 0.0 and message.data != 0.0
-            before = message.data
-
-        return count
-
-    def _hear_vehicle(self, message: Any) -> None:
-        # Another, empty one has come: the last was full, or no tank gave any more.
-        self.filled += message.fluid_pressure < 0.5 * self._vehicle_pressure
-        self._vehicle_pressure = message.fluid_pressure
-
-    def _keeper(self, tank: str) -> Callable[[Any], None]:
-        return lambda message: self.reports[tank].append(json.loads(message.data))
+            self.probe.node.create_subscription(DiagnosticArray, f"/{tank}/monitor/finding", self._finder(tank), 1000)
+            if not has_dispenser:
+                self._voltages[tank] = self.probe.talker(f"/{tank}/valve/coil_voltage", Float64)
 
     def _finder(self, tank: str) -> Callable[[Any], None]:
         def note(message: Any) -> None:
             (found,) = message.status
             names = values_of(found)["effects"].replace(", ", "+")
-            self.findings[tank].append(Finding(self.made[tank], names, found.message))
+            self.findings[tank].append(Finding(self.made(tank), names, found.message))
 
         return note
 
-    def _hear_diagnostics(self, message: Any) -> None:
-        for status in message.status:
-            name, _, task = status.name.partition(": ")
-            tank = name.partition("/")[0]
-            if task == "timing":
-                self.lost[tank] = int(values_of(status)["lost steps"])
-            elif task == "input" and int(values_of(status)["samples"]) > 0:
-                self.arriving.add(tank)
+    def made(self, tank: str) -> int:
+        """Strokes that a valve was commanded to make so far."""
+        return _rises([message.data != 0.0 for message in self._commands[tank]])
 
-    def until(self, is_so: Callable[[], bool], patience: float) -> bool:
-        """Whether something came to be so within so many seconds."""
-        end = time.monotonic() + patience
-        while not is_so():
-            if time.monotonic() > end:
-                return False
-            self.spin_for(0.5)
-        return True
+    @property
+    def filled(self) -> int:
+        """Vehicles so far: another, empty one has come when the last was full, or no tank gave any more."""
+        pressures = [message.fluid_pressure for message in self._vehicle]
+        return sum(after < 0.5 * before for before, after in itertools.pairwise(pressures))
 
-    def spin_for(self, seconds: float) -> None:
-        """Hear what comes."""
-        end = time.monotonic() + seconds
-        while (remaining := end - time.monotonic()) > 0.0:
-            self.executor.spin_once(timeout_sec=remaining)
+    def lost(self) -> dict[str, int]:
+        """Steps lost so far, by tank; of the tanks whose valve has said so."""
+        return {tank: int(values_of(status)["lost steps"]) for tank, status in self._last("timing").items()}
 
-    def set(self, tank: str, name: str, value: float) -> bool:
-        """Set a parameter while the valve runs; whether it took it."""
-        client = self.node.create_client(SetParameters, f"/{tank}/valve/set_parameters")
-        if not client.wait_for_service(LONGEST):
-            return False
-        parameter = Parameter(name, value=value).to_parameter_msg()
-        future = client.call_async(SetParameters.Request(parameters=[parameter]))
-        return self.until(future.done, LONGEST) and all(one.successful for one in future.result().results)
+    def is_there(self) -> bool:
+        """Whether every valve steps, and every monitor gets samples."""
+        inputs = [int(values_of(status)["samples"]) for status in self._last("input").values()]
+        return len(self.lost()) == len([count for count in inputs if count > 0]) == len(TANKS)
+
+    def _last(self, task: str) -> dict[str, Any]:
+        """The last status of a task of each tank's nodes."""
+        statuses = [status for message in self._diagnostics for status in message.status]
+        return {status.name.partition("/")[0]: status for status in statuses if status.name.partition(": ")[2] == task}
+
+    def set(self, name: str, value: float) -> bool:
+        """Set a parameter of the faulty valve while it runs; whether it took it."""
+        return all(one.successful for one in self.probe.set_parameters(**{name.replace(".", "__"): value}))
 
     def strokes(self, seconds: float) -> None:
         """Strokes of each valve in turn for so long; with a dispenser it makes them."""
         if self.has_dispenser:
-            self.spin_for(seconds)
+            self.probe.spin_for(seconds)
             return
         end = time.monotonic() + seconds
         while time.monotonic() < end:
-            for tank, voltage in self.voltages.items():
-                self.made[tank] += 1
+            for voltage in self._voltages.values():
                 voltage.publish(Float64(data=9.0))
-                self.spin_for(self.rhythm.is_open)
+                self.probe.spin_for(self.rhythm.is_open)
                 voltage.publish(Float64(data=0.0))
-                self.spin_for(self.rhythm.period / len(TANKS) - self.rhythm.is_open)
+                self.probe.spin_for(self.rhythm.period / len(TANKS) - self.rhythm.is_open)
 
     def strokes_together(self, count: int) -> None:
         """So many of each valve, one valve shortly after the other, and their reports as far as they come."""
         before, apart = self.reported(), 0.1 * self.rhythm.is_open
         for _ in range(count):
             for volts in (9.0, 0.0):
-                for voltage in self.voltages.values():
+                for voltage in self._voltages.values():
                     voltage.publish(Float64(data=volts))
-                    self.spin_for(apart)
-                self.spin_for(0.5 * self.rhythm.period - apart * len(TANKS))
-        self.until(lambda: all(self.reported()[tank] >= before[tank] + count for tank in TANKS), LONGEST)
+                    self.probe.spin_for(apart)
+                self.probe.spin_for(0.5 * self.rhythm.period - apart * len(TANKS))
+        self.probe.until(lambda: all(self.reported()[tank] >= before[tank] + count for tank in TANKS), LONGEST)
 
     def reported(self) -> dict[str, int]:
         """Strokes so far, by tank."""
         return {tank: len(own) for tank, own in self.reports.items()}
+
+    def reports_since(self, before: Mapping[str, int]) -> dict[str, list[dict[str, Any]]]:
+        """Reports of each monitor after so many."""
+        return {tank: [json.loads(one.data) for one in own[before[tank] :]] for tank, own in self.reports.items()}
+
+
+def _rises(is_on: Sequence[bool]) -> int:
+    return sum(after and not before for before, after in itertools.pairwise([False, *is_on]))
 
 
 @contextlib.contextmanager
@@ -223,22 +197,22 @@ def station(*, gas: bool = False) -> Iterator[dict[str, int]]:
 def fits(hand: Hand, pids: Mapping[str, int], seconds: float, leak: float) -> bool:
     """Commission, let the station work for so long, after half of it with a leak, m²; whether all is as wanted."""
     hand.strokes((COMMISSIONING + 4) * hand.rhythm.period)
-    lost, reported = dict(hand.lost), hand.reported()
+    lost, reported = hand.lost(), hand.reported()
     used, start = {name: processor_seconds(pid) for name, pid in pids.items()}, time.monotonic()
     if leak:
         hand.strokes(0.5 * seconds)
-    since = dict(hand.made)
+    since = hand.made(FAULTY)
     if leak:
-        hand.set(FAULTY, "effects.seat_leak.area", leak)
+        hand.set("effects.seat_leak.area", leak)
         seconds *= 0.5
     hand.strokes(seconds)
     elapsed = time.monotonic() - start
     shares = {name: 100.0 * (processor_seconds(pid) - used[name]) / elapsed for name, pid in pids.items()}
-    hand.spin_for(1.5)  # until the last second's diagnostics are here
+    hand.probe.spin_for(1.5)  # until the last second's diagnostics are here
     for name, share in shares.items():
         print(f"      {name:16s}{share:6.1f} % of a core")
     counts = {tank: count - reported[tank] for tank, count in hand.reported().items()}
-    steps = {tank: hand.lost[tank] - lost[tank] for tank in TANKS}
+    steps = {tank: count - lost[tank] for tank, count in hand.lost().items()}
     total = sum(shares.values())
     good = [
         say(not any(steps.values()), f"{sum(steps.values())} steps lost (0): {steps}"),
@@ -250,14 +224,12 @@ def fits(hand: Hand, pids: Mapping[str, int], seconds: float, leak: float) -> bo
     return all(good)
 
 
-def _leak_is_named(hand: Hand, since: Mapping[str, int]) -> list[bool]:
+def _leak_is_named(hand: Hand, since: int) -> list[bool]:
     """Whether the leak was named in time, and by its own monitor alone."""
     for tank, found in hand.findings.items():
         for one in found:
-            print(
-                f"      {tank}, {one.strokes - since[tank]} strokes after the leak: {one.names or 'none'}: {one.words}"
-            )
-    named = [one.strokes - since[FAULTY] for one in hand.findings[FAULTY] if one.names == "seat_leak"]
+            print(f"      {tank}, at {one.strokes} strokes, leak at {since}: {one.names or 'none'}: {one.words}")
+    named = [one.strokes - since for one in hand.findings[FAULTY] if one.names == "seat_leak"]
     others = [tank for tank, found in hand.findings.items() if found and tank != FAULTY]
     after = named[0] if named else math.inf
     return [
@@ -282,7 +254,7 @@ def phase(hand: Hand, count: int, words: str) -> Tally:
     """So many strokes of each valve, and what was said of them."""
     before = hand.reported()
     hand.strokes_together(count)
-    new = {tank: hand.reports[tank][before[tank] :] for tank in TANKS}
+    new = hand.reports_since(before)
     raised = {tank: [report["alarm"]["raised"] for report in own] for tank, own in new.items()}
     tally = Tally(
         {tank: len(own) for tank, own in new.items()},
@@ -304,7 +276,7 @@ def commission(hand: Hand) -> bool:
     """Stroke until every monitor watches; whether they do."""
     for _ in range(20):
         hand.strokes_together(COMMISSIONING + 4)
-        last = [own[-1]["state"] for own in hand.reports.values() if own]
+        last = [json.loads(own[-1].data)["state"] for own in hand.reports.values() if own]
         if len(last) == len(TANKS) and not {"commissioning", "not judged"} & set(last):
             return True
     return False
@@ -316,10 +288,10 @@ def stands(hand: Hand, strokes: int, neighbours: int) -> bool:
         return say(False, "the monitors did not come to watch")
     with busy(neighbours):
         healthy = phase(hand, -(-strokes // len(TANKS)), "healthy")
-        if not hand.set(FAULTY, "effects.stiction.force", STICTION):
+        if not hand.set("effects.stiction.force", STICTION):
             return say(False, f"{FAULTY} did not take the parameter")
         sticking = phase(hand, ALARM_WITHIN, f"{STICTION} N of stiction")
-        hand.until(lambda: bool(hand.findings[FAULTY]), LONGEST)
+        hand.probe.until(lambda: bool(hand.findings[FAULTY]), LONGEST)
     for found in hand.findings[FAULTY]:
         print(f"      {FAULTY}: {found.words}")
     count, warnings, faults = (sum(own.values()) for own in (healthy.reports, healthy.alarms, healthy.faults))
@@ -335,17 +307,17 @@ def stands(hand: Hand, strokes: int, neighbours: int) -> bool:
 
 def main() -> int:
     """Run and print; 1 if anything falls short."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=60.0, help="how long to command strokes (default: 60)")
-    parser.add_argument("--gas", action="store_true", help="with tanks of hydrogen, and a leak in the middle")
-    parser.add_argument("--leak", type=float, default=LEAK, help=f"its area, m² (default: {LEAK:g})")
-    parser.add_argument("--busy", type=int, metavar="STROKES", help="healthy strokes, of all tanks, on a busy machine")
-    parser.add_argument("--neighbours", type=int, default=8, help="busy processes (default: 8)")
-    options = parser.parse_args()
+    known = parser("nodes.station", __doc__)
+    known.add_argument("--seconds", type=float, default=60.0, help="how long to command strokes (default: 60)")
+    known.add_argument("--gas", action="store_true", help="with tanks of hydrogen, and a leak in the middle")
+    known.add_argument("--leak", type=float, default=LEAK, help=f"its area, m² (default: {LEAK:g})")
+    known.add_argument("--busy", type=int, metavar="STROKES", help="healthy strokes, of all tanks, on a busy machine")
+    known.add_argument("--neighbours", type=int, default=8, help="busy processes (default: 8)")
+    options = known.parse_args()
     rhythm = HURRIED if options.busy else WITH_GAS if options.gas else Rhythm()
     with ros(), station(gas=options.gas) as pids:
         hand = Hand(rhythm, has_dispenser=options.gas)
-        if not hand.until(lambda: len(hand.lost) == len(hand.arriving) == len(TANKS), PATIENCE):
+        if not hand.probe.until(hand.is_there, PATIENCE):
             return int(not say(False, f"not every node came to run within {PATIENCE:g} s"))
         if options.busy:
             return int(not stands(hand, options.busy, options.neighbours))

@@ -15,7 +15,6 @@ Wants a quiet machine with two cores; needs ROS 2.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import sys
 import tempfile
@@ -32,6 +31,7 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
+from benchmarks.common import parser
 from benchmarks.nodes.driver import processor_seconds, program, ros, running, spinning, values_of
 from valve_sim.files.resources import config_path
 
@@ -260,10 +260,10 @@ def _wait_until_at_work(node: Node, names: list[str]) -> None:
 
 def main() -> int:
     """Measure and print; 1 if a figure falls short."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=60.0, help="how long to command strokes (default: 60)")
-    parser.add_argument("--gas", action="store_true", help="what gas costs, in place of all else")
-    options = parser.parse_args()
+    known = parser("nodes.timing", __doc__)
+    known.add_argument("--seconds", type=float, default=60.0, help="how long to command strokes (default: 60)")
+    known.add_argument("--gas", action="store_true", help="what gas costs, in place of all else")
+    options = known.parse_args()
     with ros():
         figures = (measure_gas if options.gas else measure_timing)(options.seconds)
     for name, value in figures.items():

@@ -177,6 +177,28 @@ def gas() -> Figure:
     return figure
 
 
+def coil_alone() -> Figure:
+    """The current of an opening, and that of a valve that is stuck: the dip shows the motion."""
+    valve, times = vs.load_valve(CONFIG / "energy_consistent.yaml"), np.arange(0.0, 0.016, 1e-5)
+    run = vs.simulate(valve, step(9.0), times)
+    stuck = vs.simulate(valve.with_values(seat_load=100.0), step(9.0), times)
+    figure = Figure(figsize=(8, 3.8), layout="constrained")
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 3))
+    above.plot(1e3 * run.time, 1e6 * run.pilot_position, color=BLUE)
+    above.set_ylabel("pilot plunger,\nµm")
+    below.plot(1e3 * run.time, run.coil_current, color=BLUE, label="the valve opens")
+    below.plot(1e3 * stuck.time, stuck.coil_current, "--", color=GREY, label="the valve is stuck")
+    below.set(xlabel="time since 9 V, ms", ylabel="current, A")
+    below.legend(frameon=False, loc="lower right")
+    for event in run.events[1:3]:
+        for axes in (above, below):
+            axes.axvline(1e3 * event.time, color=GREY, linewidth=0.7, linestyle=":")
+    dip = stuck.coil_current - run.coil_current
+    print(f"coil alone; largest dip {dip.max():.3f} A at {1e3 * times[np.argmax(dip)]:.2f} ms",
+          *(f"{event.kind.name.lower()} {1e3 * event.time:.3f} ms" for event in run.events), sep="; ")  # fmt: skip
+    return figure
+
+
 def main(folder: Path) -> None:
     """Draw all."""
     friction = read_trace(BAGS / "friction")
@@ -190,6 +212,7 @@ def main(folder: Path) -> None:
         "monitoring_sum": monitoring(),
         "core_steps": core(),
         "gas_opening": gas(),
+        "coil_current_dip": coil_alone(),
     }.items():
         for axes in figure.axes:
             axes.spines[["top", "right"]].set_visible(False)

@@ -28,7 +28,7 @@ from valve_sim.identification.reporting.identification import identification_jso
 from valve_sim.identification.reporting.validation import validation_json, validation_text
 from valve_sim.identification.validation.replay import validate
 from valve_sim.model import Drive, ParameterError, Tolerances, Valve, simulate
-from valve_sim.nodes.replay import predict
+from valve_sim.nodes.identification_work import predict
 from valve_sim.traces import Signal, Trace, describe, read_trace, write_bag
 
 TIMES = np.arange(700) * 1e-3

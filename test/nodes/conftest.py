@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from own_domain import own_domain
 
-from valve_sim.nodes.dds_profiles import installed_rclpy, offer_profile
+from valve_sim.nodes.starting import installed_rclpy, offer_profile
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

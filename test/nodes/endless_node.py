@@ -13,7 +13,7 @@ from typing import Any, NoReturn
 
 PLACES = {
     "valve_node": "nodes.valve:load_stepper",
-    "monitor_node": "nodes.monitor_tasks:isolate_fault",
+    "monitor_node": "nodes.monitor_work:isolate_fault",
     "identification_node": "nodes.identification:fit_or_diagnose",
     "dispenser_node": "station.dispenser:Dispenser.prepare",
     "command_profile": "nodes.profile:checked_profile",

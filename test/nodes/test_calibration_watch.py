@@ -10,8 +10,7 @@ import pytest
 
 from valve_sim.files.parameter_files import default_valve, save_valve
 from valve_sim.model import Valve, ValveError
-from valve_sim.nodes.calibration_watch import CalibrationWatch
-from valve_sim.nodes.diagnostics import Level
+from valve_sim.nodes.diagnostics import CalibrationWatch, Level
 from valve_sim.records.calibration import Record, Sensor, journal_path, load_changes, save_record, sign
 
 NOW = datetime(2026, 11, 26, 12, 0, tzinfo=timezone.utc)

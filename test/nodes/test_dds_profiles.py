@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from valve_sim.nodes.dds_profiles import FAST_DDS_2, FAST_DDS_3, OWN_FILES, installed_rclpy, offer_profile
+from valve_sim.nodes.starting import FAST_DDS_2, FAST_DDS_3, OWN_FILES, installed_rclpy, offer_profile
 
 JAZZY, KILTED, ROLLING = "7.1.5", "9.1.2", "10.0.3"
 

@@ -20,7 +20,7 @@ from valve_sim.nodes.diagnostics import (
     valve_status,
 )
 from valve_sim.nodes.live_valve import LiveValve
-from valve_sim.nodes.monitor_status import InputCount
+from valve_sim.nodes.monitor_work import InputCount
 from valve_sim.nodes.realtime import Timing
 
 GOOD = Timing(999.0, 1e-4, 2, 0, 0, 999, 2)
@@ -64,7 +64,7 @@ def live_valve(**state: Any) -> LiveValve:
 
 def status_of(count: RejectionCount, now: int, last: int | None, unheard: int = 0, **state: Any) -> Status:
     """What /diagnostics has at a time, ns, when the last command came at another."""
-    return command_status(live_valve(last_command=last, **state), now, count.rejections(), unheard)
+    return command_status(live_valve(last_command=last, **state), now, count, unheard)
 
 
 def test_rejected_commands_are_a_warning_until_a_good_one_comes_and_counted_for_ever() -> None:
@@ -103,7 +103,7 @@ def test_a_publisher_that_cannot_be_heard_is_a_warning() -> None:
     for last_command in (None, 1):
         status = status_of(RejectionCount(), 9, last_command, unheard=1)
         assert (status.level, status.message) == (Level.WARN, words)
-    status = pressure_status("inlet pressure", 70e6, RejectionCount().rejections(), 1)
+    status = pressure_status("inlet pressure", 70e6, RejectionCount(), 1)
     assert (status.level, status.message) == (Level.WARN, words)
 
 
@@ -145,17 +145,17 @@ def test_trouble_now_and_then_does_not_count_from_the_start_each_time() -> None:
 
 def test_a_rejected_tank_pressure_is_a_warning_until_a_good_one_comes() -> None:
     count = RejectionCount()
-    status = pressure_status("inlet pressure", 70e6, count.rejections(), 0)
+    status = pressure_status("inlet pressure", 70e6, count, 0)
     assert (status.task, status.level, status.values["pressure (Pa)"]) == ("inlet pressure", Level.OK, "7e+07")
     count.reject(math.nan)
     count.reject(-1.0)
-    status = pressure_status("inlet pressure", 70e6, count.rejections(), 1)
+    status = pressure_status("inlet pressure", 70e6, count, 1)
     assert (status.level, status.message) == (Level.WARN, "2 rejected, the last of -1 Pa; the last good one stays")
     assert (status.values["rejected"], status.values["publishers of incompatible QoS"]) == ("2", "1")
-    status = pressure_status("inlet pressure", 70e6, count.rejections(), 1)
+    status = pressure_status("inlet pressure", 70e6, count, 1)
     assert status.message == "the last, of -1 Pa, was rejected; the last good one stays"
     count.accept()
-    assert pressure_status("inlet pressure", 60e6, count.rejections(), 0).level is Level.OK
+    assert pressure_status("inlet pressure", 60e6, count, 0).level is Level.OK
 
 
 def test_a_monitor_that_waits_says_why_it_could_not_use_what_came() -> None:

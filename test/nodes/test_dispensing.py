@@ -11,7 +11,7 @@ import pytest
 from valve_sim.files.parameter_files import load_valve
 from valve_sim.model import EventKind, ParameterError, Stepper
 from valve_sim.station.dispenser import Dispensed, Dispenser
-from valve_sim.station.dispenser_tables import Settings, dispenser_settings
+from valve_sim.station.tables import DispenserSettings, dispenser_settings
 
 CONFIG = Path(__file__).parents[2] / "config"
 MEGA = 1e6
@@ -78,7 +78,7 @@ def test_the_next_opens_when_too_little_flows() -> None:
 
 
 def test_a_valve_that_does_not_open_is_passed_over() -> None:
-    dispenser = Dispenser(Settings(least_open=0.5))
+    dispenser = Dispenser(DispenserSettings(least_open=0.5))
     for k in range(25):
         for valve in range(3):
             dispenser.hear(valve, dispenser.line_pressure)
@@ -95,7 +95,7 @@ def test_tanks_that_are_spent_end_it_below_the_target_and_it_begins_again() -> N
 
 
 def test_nothing_opens_before_every_valve_has_been_heard() -> None:
-    dispenser = Dispenser(Settings())
+    dispenser = Dispenser(DispenserSettings())
     dispenser.hear(0, 2.0 * MEGA)
     assert not dispenser.hear(1, math.nan)
     dispenser.hear(2, 2.0 * MEGA)
@@ -131,7 +131,7 @@ def test_the_balance_of_mass_holds(volumes: tuple[float, ...]) -> None:
 @pytest.mark.long
 def test_the_valves_of_the_station_fill_a_vehicle() -> None:
     """The models of the three valves, which obey what is published to them: all open fully, from lowest to highest."""
-    dispenser, steppers = Dispenser(Settings()), []
+    dispenser, steppers = Dispenser(DispenserSettings()), []
     for number in (1, 2, 3):
         steppers.append(Stepper(load_valve(CONFIG / f"gas_tank_{number}.yaml")))
     volts, opened = (0.0, 0.0, 0.0), []
@@ -151,7 +151,7 @@ def test_the_valves_of_the_station_fill_a_vehicle() -> None:
         volts = shown.volts
     assert (opened, dispenser.filled) == ([0, 1, 2], 1)
     assert shown.vehicle_pressure == pytest.approx(28.0 * MEGA, rel=0.01)
-    for pressure, start in zip(shown.tank_pressures, Settings().tank_pressures, strict=True):
+    for pressure, start in zip(shown.tank_pressures, DispenserSettings().tank_pressures, strict=True):
         assert start - 0.02 * MEGA < pressure < start
     assert balance(dispenser) == pytest.approx(before, abs=1e-9 * dispenser.mass)
 

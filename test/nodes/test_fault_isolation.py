@@ -11,8 +11,8 @@ import pytest
 from valve_sim.identification.diagnosis.outcome import Verdict
 from valve_sim.identification.monitoring.fault_isolation import FaultFinding
 from valve_sim.identification.monitoring.findings import Occasion
-from valve_sim.nodes import monitor_tasks
-from valve_sim.nodes.monitor_tasks import FaultIsolation, Found
+from valve_sim.nodes import monitor_work
+from valve_sim.nodes.monitor_work import FaultIsolation, Found
 
 Progress = Callable[[str, float], None]
 PATIENCE = 120.0
@@ -41,7 +41,7 @@ class Search:
 @pytest.fixture
 def search(monkeypatch: pytest.MonkeyPatch) -> Search:
     search = Search()
-    monkeypatch.setattr(monitor_tasks, "isolate_fault", search)
+    monkeypatch.setattr(monitor_work, "isolate_fault", search)
     return search
 
 

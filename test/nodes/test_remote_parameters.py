@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
 
 from valve_sim.identification.estimation.intervals import Interval
-from valve_sim.nodes.remote_parameters import changes_between
+from valve_sim.nodes.identification import changes_between
 
 
 def test_changes_have_units_and_digits_that_show_the_interval() -> None:

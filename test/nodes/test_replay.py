@@ -13,9 +13,18 @@ from valve_sim.files.parameter_files import default_valve, load_valve
 from valve_sim.files.resources import config_path
 from valve_sim.model import Drive, ParameterError, simulate
 from valve_sim.nodes.diagnostics import Level
-from valve_sim.nodes.identification_task import Task, fit_or_diagnose, read_recording
+from valve_sim.nodes.identification_work import (
+    Replay,
+    Task,
+    fit_or_diagnose,
+    measured_reading,
+    measured_voltages,
+    predict,
+    read_recording,
+    replay_status,
+    timeline,
+)
 from valve_sim.nodes.realtime import ClockReading
-from valve_sim.nodes.replay import Replay, measured_reading, measured_voltages, predict, replay_status, timeline
 from valve_sim.nodes.settings import IdentificationSettings, identification_settings
 from valve_sim.traces import Signal, Trace, write_bag
 

@@ -14,7 +14,7 @@ from valve_sim.nodes import profile_playing, settings, topics
 from valve_sim.nodes.parameters import Table
 from valve_sim.nodes.topics import Topic
 from valve_sim.nodes.valve_parameters import table
-from valve_sim.station import dispenser_tables
+from valve_sim.station import tables as station
 
 from .ros_process import Probe, running
 
@@ -104,8 +104,8 @@ CASES: dict[str, tuple[str, Sequence[Topic], Table, Sequence[str], Sequence[str]
     ),
     "dispenser_node": (
         "dispenser",
-        dispenser_tables.TOPICS,
-        dispenser_tables.PARAMETERS,
+        station.DISPENSER_TOPICS,
+        station.DISPENSER,
         [f"/tank_{k}/valve" for k in (1, 2, 3)],
         [],
     ),

@@ -1,12 +1,12 @@
 """`--help` of each node: what it does, a command that can be copied, and a page that exists. Needs no ROS."""
 
 import re
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from valve_sim.nodes import __main__ as nodes
+from valve_sim.nodes.starting import Program
 from valve_sim.station import __main__ as station
 
 PROGRAMS = (
@@ -21,19 +21,17 @@ PROGRAMS = (
 )
 
 
-@pytest.fixture(params=PROGRAMS, ids=lambda program: program.__name__)
-def program(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Callable[[list[str]], int]:
+@pytest.fixture(params=PROGRAMS, ids=lambda program: program.name)
+def program(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Program:
     """A node's program, called as where its name is found."""
     monkeypatch.setattr("valve_sim.nodes.starting.invocation", lambda name: name)
-    found: Callable[[list[str]], int] = request.param
+    found: Program = request.param
     return found
 
 
 @pytest.mark.parametrize("flag", ["--help", "-h"])
-def test_help_teaches_and_starts_nothing(
-    program: Callable[[list[str]], int], flag: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    name = program.__name__
+def test_help_teaches_and_starts_nothing(program: Program, flag: str, capsys: pytest.CaptureFixture[str]) -> None:
+    name = program.name
     assert program([name, flag]) == 0
     output = capsys.readouterr().out
     assert output.startswith(f"{name} ")

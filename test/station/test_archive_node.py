@@ -11,9 +11,9 @@ import pytest
 from nodes.ros_process import ENDS_WITHIN, Probe, own_lines, piped
 
 from valve_sim.model import ParameterError
-from valve_sim.station.archive_tables import ArchiveSettings, archive_settings
 from valve_sim.station.figures import Report, finding_report, stroke_report
 from valve_sim.station.keeping import Keeper
+from valve_sim.station.tables import ArchiveSettings, archive_settings
 
 from .test_figures import FINDING, STROKE, SUMMARY
 
@@ -110,15 +110,22 @@ def test_what_a_monitor_said_is_read_after_the_node_has_gone(probe: Probe, tmp_p
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     strokes = probe.talker("/monitor/stroke_report", String)
     finding = probe.talker("/monitor/finding", DiagnosticArray, latched)
+    answers = probe.talker("/opcua/alarms", DiagnosticArray)
+    answer = {"valve": "/valve", "user": "Bob", "comment": "seen", "shelved": "true"}
+    said_of = [KeyValue(key=key, value=value) for key, value in answer.items()]
+    answered = DiagnosticStatus(level=b"\x01", message="shelved for a time by Bob", values=said_of)
+    of_another = DiagnosticStatus(message="of another", values=[KeyValue(key="valve", value="/another")])
     folder = tmp_path / "archive"
     program = ("-m", "valve_sim.station", "archive_node", "--ros-args", "-p", f"folder:={folder}")
     with piped(tmp_path, program) as process:
-        assert probe.until(lambda: strokes.get_subscription_count() and finding.get_subscription_count())
+        talkers = (strokes, finding, answers)
+        assert probe.until(lambda: all(talker.get_subscription_count() for talker in talkers))
         for number in range(3):
             strokes.publish(String(data=json.dumps({**STROKE, "stroke": number})))
         strokes.publish(String(data="nonsense"))
         finding.publish(DiagnosticArray(status=[DiagnosticStatus(message=SUMMARY, values=entries)]))
-        probe.spin_for(2.0)  # both are in the node's queues; the next look takes them
+        answers.publish(DiagnosticArray(status=[of_another, answered]))
+        probe.spin_for(2.0)  # all are in the node's queues; the next look takes them
         answer = probe.call("serviced", Trigger)
         assert answer.success and answer.message == "/valve: serviced after 3 strokes; they count from 0 again"
         process.send_signal(signal.SIGINT)
@@ -127,4 +134,7 @@ def test_what_a_monitor_said_is_read_after_the_node_has_gone(probe: Probe, tmp_p
     archive = Archive(folder)
     assert [row["number"] for row in archive.read("strokes", "/valve")] == [0, 1, 2]
     assert [row["effect"] for row in archive.read("findings", "/valve")] == ["coulomb_friction"]
+    row = next(row for row in archive.read("alarms", "/valve") if row["alarm_class"] == "answer")
+    assert (row["level"], row["message"], row["user"]) == (1, "shelved for a time by Bob", "Bob")
+    assert row["is_shelved"] and row["comment"] == "seen" and not archive.read("alarms", "/another")
     assert any("a report of /valve is left out" in line for line in own_lines(said)), said

@@ -12,9 +12,7 @@ from nodes.launch_plan import LaunchConfiguration, read_launch_file
 from valve_sim.files.parameter_sections import read_sections
 from valve_sim.model import ParameterError
 from valve_sim.nodes.starting import read_files
-from valve_sim.station.archive_tables import archive_settings
-from valve_sim.station.opcua_tables import opcua_settings
-from valve_sim.station.plc_tables import plc_settings
+from valve_sim.station.tables import archive_settings, opcua_settings, plc_settings
 
 LAUNCH = Path(__file__).parents[2] / "launch"
 PLAN = read_launch_file(LAUNCH / "station.launch.py")

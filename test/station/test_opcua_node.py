@@ -14,8 +14,8 @@ import pytest
 from nodes.ros_process import ENDS_WITHIN, Probe, own_lines, piped
 
 from valve_sim.model import ParameterError
-from valve_sim.station.extras import require
-from valve_sim.station.opcua_tables import OpcUaSettings, opcua_settings
+from valve_sim.nodes.starting import Extra
+from valve_sim.station.tables import OpcUaSettings, opcua_settings
 
 from .test_figures import FINDING, STROKE, SUMMARY
 
@@ -24,6 +24,10 @@ def test_settings_are_checked_in_one_line() -> None:
     assert opcua_settings({}, {}) == OpcUaSettings()
     two = opcua_settings({"valves": ["a", "b"], "monitors": ["c", "d"]}, {})
     assert two.serial_numbers == ("", "")
+    one_known = {"valves": ["a", "b"], "monitors": ["c", "d"], "serial_numbers": ["", "SN-7"]}
+    assert opcua_settings(one_known, {}).serial_numbers == ("", "SN-7"), "that of one valve may be unknown"
+    dumped = {name: list(value) if isinstance(value, tuple) else value for name, value in two._asdict().items()}
+    assert opcua_settings(dumped, {}) == two, "what `ros2 param dump` writes can be given back"
     for given, words in (
         ({"valves": ["a", "b"]}, "monitors: found 1, expected 2, one for each of valves"),
         ({"port": 70000}, "command line: port: found 70000, expected a number from 1 to 65535"),
@@ -42,7 +46,7 @@ def test_a_missing_library_is_one_line_that_says_what_to_install() -> None:
 
     mend = r"pip install '\.\[opcua\]' in a checkout"
     with pytest.raises(ValveError, match=rf"the OPC UA server needs asyncuax, .*; {mend}"):
-        require("asyncuax", "opcua", "the OPC UA server")
+        Extra("asyncuax", "opcua", "the OPC UA server").require()
 
 
 def node(folder: Path) -> tuple[str, ...]:
@@ -89,11 +93,13 @@ def test_what_is_said_on_topics_is_read_and_methods_call_services(probe: Probe, 
             talker.publish(message)
 
     probe.node.create_timer(0.3, publish)
+    answers = probe.hear("/opcua/alarms", DiagnosticArray)
     program = node(tmp_path / "server")
     with piped(tmp_path, program, port=port, address="127.0.0.1") as process, ThreadPoolExecutor(1) as pool:
         asked = pool.submit(asyncio.run, _operate(f"opc.tcp://127.0.0.1:{port}/valve_sim/", identity))
         assert probe.until(asked.done)
         values, stamp, methods = asked.result()
+        assert probe.until(lambda: answers), "a person has shelved the alarm"
         process.send_signal(signal.SIGINT)
         _, said = process.communicate(timeout=ENDS_WITHIN)
     assert process.returncode == 0, said
@@ -104,6 +110,11 @@ def test_what_is_said_on_topics_is_read_and_methods_call_services(probe: Probe, 
     assert stamp == datetime(2026, 9, 21, 14, 13, 20, 250000, timezone.utc)
     assert methods["Recommission"] == [True, "the next 20 strokes are taken"]
     assert methods["SelfTest"] == [False, "/valve/self_test: no node offers this service; start it"]
+    (shelved,) = answers[0].status
+    assert (shelved.name, shelved.level) == ("opcua: valve", b"\x01")
+    assert shelved.message.startswith("shelved until it is inactive by ")
+    told = {entry.key: entry.value for entry in shelved.values}
+    assert (told["valve"], told["shelved"]) == ("/valve", "true") and shelved.message.endswith(f" by {told['user']}")
     assert any("ready: opc.tcp://127.0.0.1" in line for line in own_lines(said))
 
 
@@ -130,6 +141,7 @@ async def _operate(endpoint: str, identity: Any) -> tuple[dict[str, Any], dateti
             stamp = read.SourceTimestamp
     valve = client.get_node(ua.NodeId("valve", index))
     methods = {name: await valve.call_method(f"{index}:{name}") for name in ("Recommission", "SelfTest")}
+    await client.get_node(ua.NodeId("valve.Alarm.ShelvingState", index)).call_method("0:OneShotShelve")
     await client.disconnect()
     return values, stamp, methods
 

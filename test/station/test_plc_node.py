@@ -10,7 +10,7 @@ import pytest
 from nodes.ros_process import ENDS_WITHIN, Probe, own_lines, piped
 
 from valve_sim.model import ParameterError
-from valve_sim.station.plc_tables import PlcSettings, plc_settings
+from valve_sim.station.tables import PlcSettings, plc_settings
 
 
 def test_settings_are_checked_in_one_line() -> None:

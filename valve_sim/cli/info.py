@@ -45,7 +45,7 @@ def info(*, bag: Path, name: str | None, params: Path | None, with_state: bool, 
     One valve of several, for a program:
       valve-sim info station_bag --valve /tank_1/valve --json
 
-    Read on: docs/how_to/your_own_recordings.md, docs/how_to/record_well.md
+    Read on: docs/reference/info.md, docs/how_to/your_own_recordings.md, docs/how_to/record_well.md
     """
     from valve_sim.traces import another_valve, describe, doubtful_units, events_from_sensors, list_valves, read_trace
 

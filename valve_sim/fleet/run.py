@@ -98,7 +98,7 @@ def examine_with(
     options: Options | None = None,
     progress: Progress | None = None,
 ) -> Outcome:
-    """As `examine_fleet`, with a client that is asked for when there is work, and not before."""
+    """Examine bags as `examine_fleet` does, with a client that is made only when there is work."""
     parameters, options = parameters or ParameterChoice(), options or Options()
     say = progress or (lambda what, fraction: None)
     parameters.check()

@@ -58,7 +58,7 @@ class Directions:
         return cls(numbers, nothing, nothing, np.zeros(len(names)))
 
     def among(self, commands: Array) -> Directions:
-        """The same where pressures change among the commands of a drive, on the clock of the samples.
+        """These directions for a drive whose commands are mixed with changes of pressure, on the clock of the samples.
 
         Args:
             commands: (c, `driver.CHANGES`), see `simulation.commands_of`.

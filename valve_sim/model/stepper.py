@@ -99,7 +99,7 @@ class Stepper:
         return self._volts
 
     def reset(self, time: float) -> None:
-        """Rest closed and without current at `time`, s."""
+        """Start anew at `time`, s: closed, at rest and without current."""
         self._live = Live.at_rest(self._valve, time, self._tolerance)
         self._delay = 0.0
         self._become(self._valve, time)
@@ -107,13 +107,13 @@ class Stepper:
         self._pending: tuple[Event, ...] = ()
 
     def copy(self) -> Stepper:
-        """A stepper in this state, which goes its own way from here on: whoever keeps it can return to this time."""
+        """An independent stepper in this state, from which the simulation can be repeated from this time on."""
         twin = copy.copy(self)
         twin._live, twin._late, twin._changes = self._live.copy(), self._late.copy(), self._changes.copy()
         return twin
 
     def command(self, time: float, volts: float) -> tuple[CoilReading, CoilReading]:
-        """A voltage in force from `time` on; a time that is past takes effect at the latest time stepped to.
+        """Set the voltage in force from `time` on; a time that is past counts as the latest time stepped to.
 
         Returns:
             the coil just before and just after.
@@ -131,11 +131,11 @@ class Stepper:
         return before, self._coil(time)
 
     def supply(self, time: float, pressure: float) -> None:
-        """The tank's pressure, Pa, from `time` on, likewise; of a valve with gas."""
+        """Set the tank's pressure, Pa, from `time` on, as `command` sets the voltage; of a valve with gas."""
         self._supply(time, tank=pressure)
 
     def set_demand_pressure(self, time: float, pressure: float) -> None:
-        """The pressure behind the demand's orifice, Pa, from `time` on, likewise; of a valve with gas."""
+        """Set the pressure behind the demand's orifice, Pa, from `time` on, as `command` does; of a valve with gas."""
         self._supply(time, demand=pressure)
 
     def _commit(self, time: float) -> float:
@@ -176,7 +176,7 @@ class Stepper:
         )  # fmt: skip
 
     def set_valve(self, valve: Valve, time: float) -> None:
-        """Continue as another valve from `time` on, without a jump in its state, and a late sensor with it.
+        """Continue as another valve from `time` on. Neither its state nor what a late sensor shows jumps.
 
         Position, velocity, normalised current u and the outlet's pressure go on; a late or slow sensor shows the old
         valve until its delay has passed. Exceptions: plungers beyond a stop that moved inwards are put at the new

@@ -87,7 +87,7 @@ class Valve:
         return valve
 
     def plan(self, width: int = 0) -> Plan:
-        """What is compiled for its effects, with so many directions of derivatives."""
+        """The compiled equations of a valve with these effects, with so many directions of derivatives."""
         effects = tuple([CATALOGUE[name] for name in (*self._own_effects(), *ALWAYS)])
         gas = self.gas
         return plan_of(
@@ -100,7 +100,7 @@ class Valve:
         return [name for name in self.effects if name not in ALWAYS]
 
     def numbers(self) -> Array:
-        """Its numbers in the order of its plan's parameters; a parameter of an effect that is not given is neutral."""
+        """The numbers of this valve in the order of `plan().parameters`; those that are not given are neutral."""
         before, polynomial, after = (
             self.parameters[:_POLYNOMIAL], self.parameters[_POLYNOMIAL], self.parameters[_POLYNOMIAL + 1 :],
         )  # fmt: skip
@@ -113,7 +113,7 @@ class Valve:
         return np.array(values)
 
     def after_effects(self, *names: str) -> list[float]:
-        """Its numbers as its effects leave them, by their names in `core.equations`."""
+        """The numbers of the equations with the changes that its effects make, by their names in `core.equations`."""
         declared = {**NEUTRAL, **self.declared()}
         found: list[Any] = [declared[name] for name in names]
         trace: Trace | None = None
@@ -136,7 +136,7 @@ class Valve:
         )
 
     def why_no_flux(self) -> str:
-        """Why no current follows from its flux, for a message; empty where it does, or is not modelled."""
+        """Why its current does not follow from its flux, for a message; empty where it does or no flux is modelled."""
         effects = [CATALOGUE[name] for name in (*self._own_effects(), *ALWAYS)]
         return why_no_flux(effects, self._shapes(), self.numbers().tolist())
 

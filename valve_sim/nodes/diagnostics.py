@@ -1,13 +1,20 @@
-"""The statuses of valve_node on /diagnostics, without ROS: timing, command, valve."""
+"""What nodes say on /diagnostics, without ROS: timing, command and valve of valve_node, and the calibration record."""
 
 from __future__ import annotations
 
 import enum
+import getpass
 import math
+from collections.abc import Callable, Mapping
+from datetime import datetime
+from pathlib import Path
 from typing import Final, NamedTuple
 
+from valve_sim.model import Valve
+from valve_sim.model.errors import ValveError
 from valve_sim.nodes.live_valve import LiveValve
 from valve_sim.nodes.realtime import NANOSECONDS, Timing
+from valve_sim.records.calibration import declared_numbers, load_changes, load_record, note_changes
 
 SLOWEST_ACCEPTED: Final = 0.95
 """Achieved rate over publish_rate below which timing is a warning."""
@@ -18,7 +25,7 @@ LONGEST_LATENESS: Final = 0.01
 
 
 class Level(enum.IntEnum):
-    """As in diagnostic_msgs/DiagnosticStatus."""
+    """The level of a status, with the numbers of diagnostic_msgs/DiagnosticStatus."""
 
     OK = 0
     WARN = 1
@@ -33,20 +40,6 @@ class Status(NamedTuple):
     level: Level
     message: str
     values: dict[str, str]
-
-
-class Rejections(NamedTuple):
-    """Messages that were ignored.
-
-    Attributes:
-        total: how many, in all. now: those of them since the last look.
-        last: the number in the last of them. is_last: whether no good one has come since.
-    """
-
-    total: int
-    now: int
-    last: float
-    is_last: bool
 
 
 def timing_status(timing: Timing, rate_wanted: float, waiting_for: str) -> Status:
@@ -74,23 +67,57 @@ def timing_status(timing: Timing, rate_wanted: float, waiting_for: str) -> Statu
     return Status("timing", Level.OK, "keeps pace", values)
 
 
-def command_status(live: LiveValve, now: int, rejections: Rejections, incompatible_publishers: int) -> Status:
+class RejectionCount:
+    """Counts commands, or pressures, that are ignored; one thread counts, another looks.
+
+    Attributes:
+        rejected: how many, in all.
+    """
+
+    def __init__(self) -> None:
+        self.rejected = 0
+        self._last = math.nan
+        self._is_last_rejected = False
+        self._before = 0
+
+    def accept(self) -> None:
+        """Count one that is obeyed."""
+        self._is_last_rejected = False
+
+    def reject(self, value: float) -> None:
+        """Count one that is ignored."""
+        self.rejected += 1
+        self._last = value
+        self._is_last_rejected = True
+
+    def words(self, unit: str) -> str:
+        """That something was rejected since this was last asked, or last of all; empty if not."""
+        rejected = self.rejected
+        now, self._before = rejected - self._before, rejected
+        if now:
+            return f"{now} rejected, the last of {self._last:g} {unit}; the last good one stays"
+        if self._is_last_rejected:
+            return f"the last, of {self._last:g} {unit}, was rejected; the last good one stays"
+        return ""
+
+
+def command_status(live: LiveValve, now: int, count: RejectionCount, incompatible_publishers: int) -> Status:
     """Whether commands arrive and are accepted.
 
     Args:
         live: obeys them. now: time of its clock, ns.
-        rejections: of commands that were not finite or beyond max_voltage.
+        count: of commands that were not finite or beyond max_voltage.
         incompatible_publishers: how many publishers offer an incompatible QoS now.
     """
     age = math.nan if live.last_command is None else (now - live.last_command) / NANOSECONDS
     values = {
         "age (s)": _number(age, ".3f"),
         "voltage (V)": f"{live.volts:g}",
-        "rejected": str(rejections.total),
+        "rejected": str(count.rejected),
         "timed out": str(live.timed_out).lower(),
         "publishers of incompatible QoS": str(incompatible_publishers),
     }
-    if message := _rejected(rejections, "V"):
+    if message := count.words("V"):
         return Status("command", Level.WARN, message, values)
     if live.timed_out:
         return Status("command", Level.WARN, "none for longer than command_timeout: coil de-energised", values)
@@ -102,14 +129,14 @@ def command_status(live: LiveValve, now: int, rejections: Rejections, incompatib
     return Status("command", Level.OK, "none yet" if math.isnan(age) else "accepted", values)
 
 
-def pressure_status(task: str, pressure: float, rejections: Rejections, incompatible_publishers: int) -> Status:
+def pressure_status(task: str, pressure: float, count: RejectionCount, incompatible_publishers: int) -> Status:
     """Whether what is heard of the tank's or the demand's pressure is accepted; `pressure`, Pa, is the one in force."""
     values = {
         "pressure (Pa)": f"{pressure:g}",
-        "rejected": str(rejections.total),
+        "rejected": str(count.rejected),
         "publishers of incompatible QoS": str(incompatible_publishers),
     }
-    if message := _rejected(rejections, "Pa"):
+    if message := count.words("Pa"):
         return Status(task, Level.WARN, message, values)
     if incompatible_publishers:
         return Status(task, Level.WARN, unheard_words(incompatible_publishers), values)
@@ -134,41 +161,6 @@ def valve_status(live: LiveValve, failure: str, duplicates: int) -> Status:
     if duplicates:
         return Status("valve", Level.WARN, "another node has this name, and publishes on the same topics", values)
     return Status("valve", Level.OK, live.phase.name.lower(), values)
-
-
-class RejectionCount:
-    """Counts rejected commands, or rejected pressures, of one thread; another may look."""
-
-    def __init__(self) -> None:
-        self.rejected = 0
-        self.last_rejected = math.nan
-        self._before = 0
-        self._is_last_rejected = False
-
-    def accept(self) -> None:
-        """Count one that is obeyed."""
-        self._is_last_rejected = False
-
-    def reject(self, value: float) -> None:
-        """Count one that is ignored."""
-        self.rejected += 1
-        self.last_rejected = value
-        self._is_last_rejected = True
-
-    def rejections(self) -> Rejections:
-        """What was ignored, in all and since the last look."""
-        rejected = self.rejected
-        since, self._before = rejected - self._before, rejected
-        return Rejections(rejected, since, self.last_rejected, self._is_last_rejected)
-
-
-def _rejected(rejections: Rejections, unit: str) -> str:
-    """That something was rejected since the last look, or last of all; empty if not."""
-    if rejections.now:
-        return f"{rejections.now} rejected, the last of {rejections.last:g} {unit}; the last good one stays"
-    if rejections.is_last:
-        return f"the last, of {rejections.last:g} {unit}, was rejected; the last good one stays"
-    return ""
 
 
 def unheard_words(publishers: int) -> str:
@@ -209,3 +201,65 @@ class Reminder:
             self._interval = min(3.0 * self._interval, self._longest)
         self._said, self._count = now, 0
         return words
+
+
+class CalibrationWatch:
+    """A record that was loaded, and its journal, to which a node appends what it declares otherwise.
+
+    Args:
+        path: of the record. node: its full name, for the journal. say: logs what a person should know.
+
+    Raises:
+        ValveError: the record, or its journal, cannot be read or was changed by hand.
+    """
+
+    def __init__(self, path: Path, node: str, say: Callable[[str], object]) -> None:
+        self._path, self._node, self._say = path, node, say
+        self._record, self._failure = load_record(path), ""
+        self._changes, self._said = len(load_changes(path)), list[str]()
+        self._noted: Mapping[str, float | None] | None = None
+
+    def note(self, valve: Valve, now: datetime) -> None:
+        """Append to the journal, all or nothing, in what a valve differs from the one declared before; `now` in UTC.
+
+        The first one is compared with the record and its journal. What could not be written is part of the next entry.
+        """
+        declared = declared_numbers(valve)
+        try:
+            changes = note_changes(self._path, declared, f"{self._node} ({_user()})", now, self._noted)
+            self._changes = len(load_changes(self._path))
+        except ValveError as error:
+            self._failure = f"changes are not in the journal: {error}"
+            self._say(self._failure)
+            return
+        self._noted, self._failure = declared, ""
+        for change in changes:
+            self._say(f"changed since the calibration: {change.parameter} {change.before} → {change.after}")
+
+    def status(self, now: datetime) -> Status:
+        """Whether the calibration holds at a time, in UTC: WARN where something speaks against it, which is said once.
+
+        The time is the system's, which has the date also where that of the node is simulated.
+        """
+        record, remarks = self._record, self._record.remarks(now)
+        for words in remarks:
+            if words not in self._said:
+                self._say(words)
+        self._said = remarks
+        values = {
+            "serial number": record.serial_number,
+            "signed by": record.signed_by,
+            "signed at": record.signed_at,
+            "valid until": record.valid_until,
+            "changes since": str(self._changes),
+        }
+        against = [*remarks, *([self._failure] if self._failure else [])]
+        words = "; ".join(against) or f"valid until {record.valid_until}"
+        return Status("calibration", Level.WARN if against else Level.OK, words, values)
+
+
+def _user() -> str:
+    try:
+        return getpass.getuser()
+    except (OSError, KeyError):
+        return "a user without a name"

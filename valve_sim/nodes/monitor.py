@@ -33,16 +33,18 @@ from valve_sim.nodes.diagnostics import Level, Status
 from valve_sim.nodes.live_map import live_inputs
 from valve_sim.nodes.messages import ReadingMessages, diagnostic_array
 from valve_sim.nodes.monitor_inputs import MonitorInputs, Takers
-from valve_sim.nodes.monitor_status import (
+from valve_sim.nodes.monitor_work import (
+    FaultIsolation,
+    Found,
     HealthLog,
     InputCount,
+    MonitorThread,
     finding_status,
     health_status,
     isolation_status,
     model_status,
     stroke_status,
 )
-from valve_sim.nodes.monitor_tasks import FaultIsolation, Found, MonitorThread
 from valve_sim.nodes.parameters import settings_of
 from valve_sim.nodes.realtime import LONGEST_LEAP_SECONDS, NANOSECONDS, SubscriberCounts
 from valve_sim.nodes.settings import MONITORS_FORMER_NAMES, MonitorNodeSettings, monitor_table, monitor_values

@@ -42,7 +42,8 @@ class NodeParameter(NamedTuple):
 
     Attributes:
         name: flat, dotted.
-        default: gives the type too: bool, int, float, text, or a list of floats or texts.
+        default: gives the type too: bool, int, float, text, or a list of floats or texts. Empty texts of a given list
+            count only where one is in the default.
         meaning: in words. unit: of a number or of each in a list; empty for none.
         rule: range of a number, or of each in a list; None for any.
         choices: all that a text may be; empty for any.
@@ -69,7 +70,7 @@ class NodeParameter(NamedTuple):
 
     @property
     def type(self) -> str:
-        """As `ros2 param describe` names it."""
+        """The type, in the words of `ros2 param describe`."""
         if isinstance(self.default, Sequence) and not isinstance(self.default, str):
             return f"{_TYPES[type(self.default[0])]} array"
         return _TYPES[type(self.default)]
@@ -128,7 +129,8 @@ class NodeParameter(NamedTuple):
             return [self._checked_number(item, f"{where}[{index}]") for index, item in enumerate(items)]
         if not all(isinstance(item, str) for item in items):
             raise ParameterError(f"{where}: found {value!r}, expected a list of names")
-        names = [name for item in items if (name := item.strip())]
+        may_be_empty = "" in self.default
+        names = [name for item in items if (name := item.strip()) or may_be_empty]
         if not names:
             raise ParameterError(f"{where}: found {value!r}, expected at least one name")
         return names

@@ -17,7 +17,6 @@ from valve_sim.files.parameter_sections import Section
 from valve_sim.files.whole_files import write_whole
 from valve_sim.model import ValveError
 from valve_sim.nodes import topics
-from valve_sim.nodes.commanding import CommandingNode
 from valve_sim.nodes.profile_playing import (
     PROFILE,
     Commanded,
@@ -30,7 +29,7 @@ from valve_sim.nodes.profile_playing import (
 )
 from valve_sim.nodes.realtime import LISTENERS_SECONDS, NANOSECONDS
 from valve_sim.nodes.spinning import every, wait_until_heard
-from valve_sim.nodes.wiring import Interface, declared, full_name
+from valve_sim.nodes.wiring import CommandingNode, Interface, declared, full_name
 
 _LOOK_SECONDS: Final = 0.05
 _UNKNOWN_NODE: Final = "_NODE_NAME_UNKNOWN_"

@@ -14,16 +14,17 @@ import tempfile
 import textwrap
 import threading
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, MutableMapping, Sequence
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import FrameType
-from typing import Any, Final, NoReturn, Protocol
+from typing import Any, Final, NamedTuple, NoReturn, Protocol
 
 from valve_sim.files.parameter_files import valve_from_flat
 from valve_sim.files.parameter_sections import Section, read_sections
+from valve_sim.files.resources import config_path
 from valve_sim.invocation import invocation
 from valve_sim.model.errors import ParameterError, ValveError
-from valve_sim.nodes.dds_profiles import installed_rclpy, offer_profile
 
 UNUSABLE_INPUT: Final = 2
 """Exit code after one line on stderr."""
@@ -54,7 +55,73 @@ class RunsAsNode(Protocol):
         """End every thread and release everything; whether each thread has ended within `timeout`, s."""
 
 
-def run_node(name: str, place: str, args: Sequence[str] | None, usage: str = "") -> int:
+class Extra(NamedTuple):
+    """A library that an extra of this package brings: its module, the extra's name, and what it is needed for."""
+
+    module: str
+    name: str
+    purpose: str
+
+    def require(self) -> None:
+        """Import the library.
+
+        Raises:
+            ValveError: it is not installed, or cannot be imported; one line that says what to install.
+        """
+        try:
+            importlib.import_module(self.module)
+        except ImportError as error:
+            raise ValveError(
+                f"{self.purpose} needs {self.module}, which cannot be imported ({error}); pip install '.[{self.name}]' "
+                "in a checkout"
+            ) from error
+
+
+class Program(NamedTuple):
+    """A program that runs one node; called as `ros2 run` does, it returns the exit code of `run_node`.
+
+    Attributes:
+        name: of the program. place: "module:Class" of its node.
+        about: what it does, with a command that works as printed. pages: where to read on. codes: its exit codes.
+        needs: a library that not everyone has; None where ROS is enough.
+    """
+
+    name: str
+    place: str
+    about: str
+    pages: str
+    codes: str = "0 after Ctrl-C or SIGTERM, 1 after a failure, 2 for unusable input"
+    needs: Extra | None = None
+
+    def __call__(self, args: Sequence[str] | None = None) -> int:
+        """Run the node; `args` as of `run_node`."""
+        return run_node(self.name, self.place, args, self.usage, self.needs)
+
+    @property
+    def usage(self) -> str:
+        """What --help prints."""
+        return f"""{self.about}
+    Parameters are set by -p name:=value after --ros-args, or by --params-file. They are
+    listed in docs/reference, and `ros2 param describe` explains those of a running node.
+
+    Exit code {self.codes}.
+
+    Read on: {self.pages}
+"""
+
+
+def chosen(*programs: Program) -> int:
+    """Run the program that the command line names first, with the rest of it; its exit code."""
+    name = sys.argv[1] if len(sys.argv) > 1 else ""
+    for program in programs:
+        if program.name == name:
+            return program(sys.argv[1:])
+    names = ", ".join(program.name for program in programs)
+    print(f"expected one of {names} first, found {name or 'nothing'}", file=sys.stderr)
+    return UNUSABLE_INPUT
+
+
+def run_node(name: str, place: str, args: Sequence[str] | None, usage: str = "", needs: Extra | None = None) -> int:
     """Start a node, spin it, and return its exit code.
 
     Args:
@@ -62,6 +129,7 @@ def run_node(name: str, place: str, args: Sequence[str] | None, usage: str = "")
         place: "module:Class" of the node, which is imported only after ROS was found; without it one line is printed.
         args: the command line with the program's own name first; default sys.argv.
         usage: what --help prints; lines that begin with four spaces and the program's name are commands.
+        needs: a library without which the node is not made.
 
     Returns:
         0 after --help, SIGINT or SIGTERM, 1 if the node failed, 2 after one line on stderr about unusable input.
@@ -77,7 +145,7 @@ def run_node(name: str, place: str, args: Sequence[str] | None, usage: str = "")
             _ensure_log_folder(name)
             offer_profile(os.environ, Path.cwd(), installed_rclpy())
         rclpy_init(arguments)
-        node = None if signals.have_come else _made(place, given)
+        node = None if signals.have_come else _made(place, given, needs)
     except ValveError as error:
         print(f"{name}: {error}", file=sys.stderr)
         return UNUSABLE_INPUT
@@ -156,10 +224,12 @@ def rclpy() -> Any:
         ) from error
 
 
-def _made(place: str, given: GivenFiles) -> RunsAsNode | None:
+def _made(place: str, given: GivenFiles, needs: Extra | None) -> RunsAsNode | None:
     """The node; None if a signal ended ROS meanwhile."""
     module, _, kind = place.partition(":")
     try:
+        if needs is not None:
+            needs.require()
         made: RunsAsNode = getattr(importlib.import_module(module), kind)(given)
         return made
     except ValveError:
@@ -271,3 +341,58 @@ def log_folder() -> Path:
         return Path(chosen).expanduser()
     home = os.environ.get("ROS_HOME")
     return (Path(home) if home else Path("~/.ros")).expanduser() / "log"
+
+
+class Profile(NamedTuple):
+    """A file of ours and the environment variable by which Fast DDS finds it."""
+
+    variable: str
+    file: str
+
+
+FAST_DDS_2: Final = Profile("FASTRTPS_DEFAULT_PROFILES_FILE", "fast_dds_2.xml")
+FAST_DDS_3: Final = Profile("FASTDDS_DEFAULT_PROFILES_FILE", "fast_dds_3.xml")
+OWN_FILES: Final = ("DEFAULT_FASTRTPS_PROFILES.xml", "DEFAULT_FASTDDS_PROFILES.xml")
+"""File that Fast DDS reads from the folder in which a process starts."""
+RCLPY_WITH_FAST_DDS_3: Final = 9
+"""The major version of rclpy in Kilted, the first ROS 2 with Fast DDS 3; Jazzy has 7 and Fast DDS 2.14."""
+
+
+def profile_of(rclpy: str) -> Profile:
+    """Which of our profiles the Fast DDS of a ROS 2 understands.
+
+    Fast DDS 3 reads the variable of version 2, too, and complains of what it finds there: a process is given one only.
+
+    Args:
+        rclpy: version of that ROS 2's rclpy, such as 7.1.5.
+    """
+    return FAST_DDS_3 if int(rclpy.partition(".")[0]) >= RCLPY_WITH_FAST_DDS_3 else FAST_DDS_2
+
+
+def installed_rclpy() -> str | None:
+    """Version of the rclpy on the path, or None if it does not say."""
+    try:
+        return version("rclpy")
+    except PackageNotFoundError:
+        return None
+
+
+def offer_profile(environment: MutableMapping[str, str], folder: Path, rclpy: str | None) -> None:
+    """Have Fast DDS note acknowledgements every 4 ms, and announce itself for 3 s; to be called before ROS starts.
+
+    After each message Fast DDS wakes a thread of its own, only to note that a reader may now ask for that message
+    again: 2 to 5 % of a core at 1 kHz. A reader does not ask sooner than 5 ms after the writer's heartbeat, so our
+    profiles have it noted every 4 ms. And it announces itself five times to a process that begins, which may hear none
+    of them while it starts, and then every 3 s: our profiles have it announce itself every 0.1 s until then, so that a
+    process that begins is found within half a second, not after 3 s. Other middleware does not read these variables.
+
+    Args:
+        environment: of this process; changed, unless it names profiles of the user's own.
+        folder: in which the process starts; a file of profiles there counts too.
+        rclpy: see `installed_rclpy`; nothing is offered where it is not known.
+    """
+    named = any(profile.variable in environment for profile in (FAST_DDS_2, FAST_DDS_3))
+    if rclpy is None or named or any((folder / name).exists() for name in OWN_FILES):
+        return
+    profile = profile_of(rclpy)
+    environment[profile.variable] = str(config_path(profile.file))

@@ -22,7 +22,7 @@ class Qos(NamedTuple):
 
     @property
     def words(self) -> str:
-        """As a table of the documentation has it."""
+        """The quality of service in words, for the tables of the documentation."""
         reliability = "reliable" if self.is_reliable else "best effort"
         return f"{reliability}{', transient local' if self.is_latched else ''}, depth {self.depth}"
 
@@ -110,9 +110,7 @@ MONITOR: Final = (
     Topic("{sensors}/coil", _BATTERY, "in", "stamped current and voltage", "A, V", SENSOR),
     Topic("{sensors}/coil_current", _FLOAT, "in", "current, heard until a stamped one comes", "A", SENSOR),
     Topic("{sensors}/outlet_pressure", _PRESSURE, "in", "behind a valve with gas", "Pa", SENSOR),
-    Topic(
-        "{valve}/{end}", _PRESSURE, "in", "what a valve with gas is told, until one of those below comes", "Pa", SENSOR
-    ),
+    Topic("{valve}/{end}", _PRESSURE, "in", "what is sent to the valve, until one of those below comes", "Pa", SENSOR),
     Topic("{valve}/obeyed/{end}", _PRESSURE, "in", "what a simulated valve obeys", "Pa", SENSOR),
     Topic("{sensors}/{end}", _PRESSURE, "in", "what a real valve's sensors say", "Pa", SENSOR),
     Topic("~/predicted/joint_states", _JOINTS, "out", "what the model says at each sample", _OF_JOINTS),

@@ -22,10 +22,9 @@ from valve_sim.files.parameter_sections import Section
 from valve_sim.model import ParameterError, Phase, Valve, can_open
 from valve_sim.nodes import topics
 from valve_sim.nodes.diagnostics import Level, Reminder, Status, command_status, timing_status, valve_status
-from valve_sim.nodes.gas_topics import GasTopics
 from valve_sim.nodes.live_valve import LiveValve, Step, self_test
 from valve_sim.nodes.messages import IS_OPEN, PHASE, ReadingMessages
-from valve_sim.nodes.obeyed_topic import BETWEEN_WARNINGS, ObeyedTopic
+from valve_sim.nodes.obeyed_topics import BETWEEN_WARNINGS, GasTopics, ObeyedTopic
 from valve_sim.nodes.parameters import Value, as_declared, changed_words, settings_of
 from valve_sim.nodes.realtime import NANOSECONDS, Restart, SubscriberCounts, Worker
 from valve_sim.nodes.receiving import Inbox
@@ -263,7 +262,7 @@ class ValveNode(RosNode):
                 self._node.get_logger().warning(line)
         yield timing
         heard = self._voltage
-        yield command_status(live, now, heard.count.rejections(), heard.source.incompatible_publishers)
+        yield command_status(live, now, heard.count, heard.source.incompatible_publishers)
         yield valve_status(live, self._failure, self._duplicates.look())
         if self._gas is not None:
             yield from self._gas.statuses()

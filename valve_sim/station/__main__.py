@@ -2,41 +2,68 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from typing import Final
 
-from valve_sim.nodes.__main__ import chosen
-from valve_sim.nodes.starting import run_node
-from valve_sim.station import usage
+from valve_sim.nodes.starting import Extra, Program, chosen
 
+dispenser_node: Final = Program(
+    "dispenser_node",
+    "valve_sim.station.dispenser_node:DispenserNode",
+    """
+    dispenser_node fills simulated vehicles from the tanks of a station with gas.
 
-def dispenser_node(args: Sequence[str] | None = None) -> int:
-    """Fill vehicles from the tanks of a station, one valve after the other; arguments and exit codes of `run_node`."""
-    return run_node("dispenser_node", "valve_sim.station.dispenser_node:DispenserNode", args, usage.DISPENSER_NODE)
+    It commands the valves one after the other, as a hydrogen station does in a cascade, and
+    simulates the line and the vehicle. With the valves of config/gas_tank_1.yaml to _3.yaml
+    running (ros2 launch valve_sim station.launch.py gas:=true starts them all):
 
+        dispenser_node --ros-args --params-file config/gas_dispenser.yaml
+""",
+    "docs/how_to/station.md",
+)
+opcua_node: Final = Program(
+    "opcua_node",
+    "valve_sim.station.opcua_node:OpcUaNode",
+    """
+    opcua_node shows valves and their monitors to OPC UA clients, such as a SCADA system.
 
-def opcua_node(args: Sequence[str] | None = None) -> int:
-    """Serve what monitors and valves say to OPC UA clients; arguments and exit codes of `run_node`."""
-    return run_node("opcua_node", "valve_sim.station.extras:opcua_node", args, usage.OPCUA_NODE)
+    Clients read states, strokes, findings and alarms; none can command a coil. It needs the
+    extra opcua: pip install '.[opcua]'. For one valve, in a checkout:
 
+        opcua_node --ros-args -p valves:='[valve]' \\
+            -p monitors:='[monitor]'
+""",
+    "docs/how_to/opcua.md",
+    needs=Extra("asyncua", "opcua", "the OPC UA server"),
+)
+plc_node: Final = Program(
+    "plc_node",
+    "valve_sim.station.plc_node:PlcNode",
+    """
+    plc_node lets a PLC command the coils of valves over Modbus TCP.
 
-def plc_node(args: Sequence[str] | None = None) -> int:
-    """Have a PLC command the coils of valves over Modbus TCP; arguments and exit codes of `run_node`."""
-    return run_node("plc_node", "valve_sim.station.extras:plc_node", args, usage.PLC_NODE)
+    It shows the PLC the state of each valve, and de-energises the coils when the PLC's
+    heartbeat stands still. It needs the extra modbus: pip install '.[modbus]'.
 
+        plc_node --ros-args -p valves:='[valve]' -p map_file:=registers.csv
+""",
+    "docs/how_to/plc.md",
+    needs=Extra("pymodbus.simulator", "modbus", "Modbus TCP"),
+)
+archive_node: Final = Program(
+    "archive_node",
+    "valve_sim.station.archive_node:ArchiveNode",
+    """
+    archive_node keeps strokes, findings and alarms of valves for years, as Parquet files.
 
-def archive_node(args: Sequence[str] | None = None) -> int:
-    """Keep what monitors say of valves for years; arguments and exit codes of `run_node`."""
-    return run_node("archive_node", "valve_sim.station.extras:archive_node", args, usage.ARCHIVE_NODE)
+    It subscribes to what monitors and valves publish; `valve-sim history` prints what it has
+    kept. It needs the extra parquet: pip install '.[parquet]'.
 
+        archive_node --ros-args -p folder:=archive -p valves:='[valve]' \\
+            -p monitors:='[monitor]'
+""",
+    "docs/how_to/archive.md",
+    needs=Extra("pyarrow", "parquet", "the archive"),
+)
 
 if __name__ == "__main__":
-    raise SystemExit(
-        chosen(
-            {
-                "archive_node": archive_node,
-                "dispenser_node": dispenser_node,
-                "opcua_node": opcua_node,
-                "plc_node": plc_node,
-            }
-        )
-    )
+    raise SystemExit(chosen(dispenser_node, opcua_node, plc_node, archive_node))

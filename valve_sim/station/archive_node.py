@@ -17,10 +17,10 @@ from valve_sim.model.errors import ValveError
 from valve_sim.nodes.spinning import every, guarded
 from valve_sim.nodes.wiring import Interface, RosNode, declared, full_name
 from valve_sim.records.archive import Archive
-from valve_sim.station.archive_tables import PARAMETERS, TOPICS, ArchiveSettings, archive_settings
 from valve_sim.station.figures import Report
 from valve_sim.station.hearing import StationEar
 from valve_sim.station.keeping import Keeper
+from valve_sim.station.tables import ARCHIVE, ARCHIVE_TOPICS, ArchiveSettings, archive_settings
 
 _PERIOD: Final = 0.5
 """s between looks at what was heard."""
@@ -28,9 +28,9 @@ _BETWEEN_PRUNINGS: Final = 6.0 * 3600.0
 
 
 class ArchiveNode(RosNode):
-    """The node `archive`, with the topics and services `TOPICS` of each of `valves` and `monitors`.
+    """The node `archive`, with the topics and services `tables.ARCHIVE_TOPICS` of each of `valves` and `monitors`.
 
-    Parameters: `PARAMETERS`; they are read once, at the start. What cannot be written waits.
+    Parameters: `tables.ARCHIVE`; they are read once, at the start. What cannot be written waits.
 
     Args:
         sections: (file, section) of the parameter files on the command line.
@@ -41,15 +41,18 @@ class ArchiveNode(RosNode):
 
     def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
         super().__init__("archive")
-        settings: ArchiveSettings = declared(self._node, sections, PARAMETERS, archive_settings)
+        settings: ArchiveSettings = declared(self._node, sections, ARCHIVE, archive_settings)
         folder = Path(settings.folder).expanduser()
         refuse_unwritable(folder / "any.parquet")
         self._archive = Archive(folder, settings.years, int(1e6 * settings.megabytes))
         self._keeper, self._prune_at = Keeper(self._archive), time.monotonic()
         valves = [full_name(self._node, name, "valves") for name in settings.valves]
         monitors = [full_name(self._node, name, "monitors") for name in settings.monitors]
-        interface = Interface(self._node, TOPICS)
-        self._ear = StationEar(self._node, self._clock, interface, valves, monitors, self._take, is_live=False)
+        interface = Interface(self._node, ARCHIVE_TOPICS)
+        alarms = full_name(self._node, settings.alarms, "alarms")
+        self._ear = StationEar(
+            self._node, self._clock, interface, valves, monitors, self._take, is_live=False, alarms=alarms
+        )
         for valve in valves:
             interface.serve("{valve}/serviced", guarded(partial(self._note_service, valve)), valve=valve)
         every(self._node, _PERIOD, self._look)

@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 
 from valve_sim.model.gas.line import Gas, Line
 from valve_sim.model.gas.parameters import orifice_area
-from valve_sim.station.dispenser_tables import Settings
+from valve_sim.station.tables import DispenserSettings
 
 LONGEST_STEP: Final = 0.01
 """s. Shorter ones change no pressure by more than 0.2 %, since those of the pipes are held between messages anyway."""
@@ -48,7 +48,7 @@ class Dispenser:
         vented: kg that the line lost between vehicles. drawn: kg that has come out of tanks of constant pressure.
     """
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: DispenserSettings) -> None:
         self._settings = settings
         self.gas = gas = Gas(settings.fluid, settings.temperature)
         coefficient = settings.discharge_coefficient

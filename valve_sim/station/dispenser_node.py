@@ -15,22 +15,21 @@ from sensor_msgs.msg import FluidPressure
 from std_msgs.msg import Float64
 
 from valve_sim.files.parameter_sections import Section
-from valve_sim.nodes.commanding import CommandingNode
 from valve_sim.nodes.realtime import NANOSECONDS, Arrival, Restart, Worker
 from valve_sim.nodes.receiving import Inbox
 from valve_sim.nodes.starting import STOP_SECONDS
-from valve_sim.nodes.wiring import Interface, declared, full_name
+from valve_sim.nodes.wiring import CommandingNode, Interface, declared, full_name
 from valve_sim.station.dispenser import Dispensed, Dispenser
-from valve_sim.station.dispenser_tables import PARAMETERS, TOPICS, Settings, dispenser_settings
+from valve_sim.station.tables import DISPENSER, DISPENSER_TOPICS, DispenserSettings, dispenser_settings
 
 _BETWEEN_REMINDERS: Final = 10.0
 """s between lines that say which valve is waited for."""
 
 
 class DispenserNode(CommandingNode):
-    """The node `dispenser`, with the topics `TOPICS` for each of `valves`.
+    """The node `dispenser`, with the topics `tables.DISPENSER_TOPICS` for each of `valves`.
 
-    Parameters: `PARAMETERS`; they are read once, at the start.
+    Parameters: `tables.DISPENSER`; they are read once, at the start.
 
     Args:
         sections: (file, section) of the parameter files on the command line.
@@ -41,7 +40,7 @@ class DispenserNode(CommandingNode):
 
     def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
         super().__init__("dispenser")
-        self._settings: Settings = declared(self._node, sections, PARAMETERS, dispenser_settings)
+        self._settings: DispenserSettings = declared(self._node, sections, DISPENSER, dispenser_settings)
         self._dispenser = Dispenser(self._settings)
         self._inbox = Inbox(self._node, self._clock)
         self._wire()
@@ -62,7 +61,7 @@ class DispenserNode(CommandingNode):
         self._worker.stop(STOP_SECONDS)
 
     def _wire(self) -> None:
-        interface = Interface(self._node, TOPICS)
+        interface = Interface(self._node, DISPENSER_TOPICS)
         self._demands: list[Publisher] = []
         self._inlets: list[Publisher | None] = []
         for k, (given, volume) in enumerate(zip(self._settings.valves, self._settings.tank_volumes, strict=True)):

@@ -60,7 +60,7 @@ FIGURES: Final = (
     Figure("Stroke.T1StandardError", "Double", "s", "standard error of T1"),
     Figure("Stroke.T2", "Double", "s", "all parts reach the core, after the command"),
     Figure("Stroke.T2StandardError", "Double", "s", "standard error of T2"),
-    Figure("Stroke.ClosingTime", "Double", "s", "main plunger is seated again, after the command to close"),
+    Figure("Stroke.ClosingTime", "Double", "s", "pilot plunger is back on its seat, after the command to close"),
     Figure("Stroke.ClosingTimeStandardError", "Double", "s", "standard error of ClosingTime"),
     Figure("Stroke.PilotDamping", "Double", "N·s/m", "damping in Phase 1, refitted to this stroke"),
     Figure("Stroke.PilotDampingStandardError", "Double", "N·s/m", "standard error of PilotDamping"),

@@ -27,6 +27,7 @@ class StationEar:
         valves, monitors: full names of their nodes, in one order.
         tell: is handed each report.
         is_live: whether to hear phase, is_open, current and pressure of the valves, too.
+        alarms: the topic on which an opcua_node says what people did to alarms; empty: not heard.
     """
 
     def __init__(
@@ -39,6 +40,7 @@ class StationEar:
         tell: Callable[[Report], None],
         *,
         is_live: bool,
+        alarms: str = "",
     ) -> None:
         self._node, self._tell = node, tell
         self._pairs = list(zip(valves, monitors, strict=True))
@@ -48,8 +50,10 @@ class StationEar:
             interface.receive(self._inbox, "{monitor}/stroke_report", take, monitor=monitor)
             interface.receive(self._inbox, "{monitor}/finding", partial(self._take_finding, valve), monitor=monitor)
             if is_live:
-                hear_live(interface, self._inbox, valve, partial(self._show, valve))
+                hear_live(interface, self._inbox, self._inbox, valve, partial(self._show, valve))
         interface.receive(self._inbox, "/diagnostics", self._diagnose)
+        if alarms:
+            interface.receive(self._inbox, "{alarms}", self._take_answer, alarms=alarms)
 
     def look(self) -> None:
         """Take all that has come since the last look."""
@@ -74,6 +78,17 @@ class StationEar:
         except ValveError as error:
             self._node.get_logger().warning(f"a report of {valve} is left out: {error}", throttle_duration_sec=10.0)
 
+    def _take_answer(self, message: DiagnosticArray, arrival: Arrival) -> None:
+        stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+        for status in message.status:
+            said = {entry.key: entry.value for entry in status.values}
+            if any(said.get("valve") == valve for valve, _ in self._pairs):
+                values: Values = {"Answer.Level": status.level[0], "Answer.Message": status.message}
+                values |= {"Answer.User": said.get("user", ""), "Answer.Comment": said.get("comment", "")}
+                self._tell(
+                    Report(said["valve"], utc(stamp), {**values, "Answer.IsShelved": said.get("shelved") == "true"})
+                )
+
     def _diagnose(self, message: DiagnosticArray, arrival: Arrival) -> None:
         stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
         for valve, monitor in self._pairs:
@@ -94,17 +109,26 @@ class StationEar:
                 self._tell(Report(valve, utc(stamp), values))
 
 
-def hear_live(interface: Interface, inbox: Inbox, valve: str, take: Callable[[str, Any, Arrival], None]) -> None:
-    """Receive what a valve says often; `take` is handed the topic's name, its value, and when it came."""
+def hear_live(
+    interface: Interface, inbox: Inbox, seldom: Inbox, valve: str, take: Callable[[str, Any, Arrival], None]
+) -> None:
+    """Receive what a valve says often.
 
-    def hear(name: str, field: str) -> None:
+    Args:
+        interface: subscribes. inbox: receives. seldom: receives the coil's current, which comes at the rate of the
+            valve and of which only the latest counts. valve: full name of its node.
+        take: is handed the topic's name, its value, and when it came.
+    """
+
+    def hear(place: Inbox, name: str, field: str) -> None:
         interface.receive(
-            inbox,
+            place,
             f"{{valve}}/{name}",
             lambda message, arrival: take(name, getattr(message, field), arrival),
             valve=valve,
         )
 
-    for name in ("phase", "is_open", "coil_current"):
-        hear(name, "data")
-    hear("outlet_pressure", "fluid_pressure")
+    hear(inbox, "phase", "data")
+    hear(inbox, "is_open", "data")
+    hear(inbox, "outlet_pressure", "fluid_pressure")
+    hear(seldom, "coil_current", "data")

@@ -42,6 +42,8 @@ _FINDINGS: Final = {
 
 SERVICE: Final = "service"
 """The class of a row of alarms that says that a person has serviced the valve."""
+ANSWER: Final = "answer"
+"""The class of one that says that a person has acknowledged, confirmed, commented or shelved an alarm."""
 _CLASSES: Final = {"Health": "health", "Driver": "driver"}
 """Class of alarms by the group of figures that has their level: of the valve, and of its own node."""
 
@@ -75,6 +77,12 @@ class Keeper:
                 self._levels[report.valve, group] = level
                 self._add(report.valve, report.time, level, _CLASSES[group], values.get(f"{group}.Message"), now)
 
+        if "Answer.Message" in values:
+            told = {"user": values["Answer.User"], "comment": values["Answer.Comment"]}
+            told["is_shelved"] = values["Answer.IsShelved"]
+            level, message = values["Answer.Level"], values["Answer.Message"]
+            self._add(report.valve, report.time, level, ANSWER, message, now, **told)
+
     def note_service(self, valve: str, at: datetime, now: float) -> str:
         """Keep that a valve was serviced, and count its strokes anew; what is kept, in words."""
         made = self.strokes_since_service(valve)
@@ -96,8 +104,11 @@ class Keeper:
                 self._since_service[valve] = None
         return self._since_service[valve]
 
-    def _add(self, valve: str, at: datetime, level: int, alarm_class: str, message: object, now: float) -> None:
+    def _add(
+        self, valve: str, at: datetime, level: object, alarm_class: str, message: object, now: float, **more: object
+    ) -> None:
         row = {
+            **more,
             "level": level,
             "alarm_class": alarm_class,
             "message": message,

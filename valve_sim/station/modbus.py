@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-import concurrent.futures
 import logging
-import threading
 import time
-from collections.abc import Callable, Coroutine
-from typing import Any, Final, Protocol
+from collections.abc import Callable
+from typing import Any, Final
 
 from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.constants import ExcCodes
@@ -17,21 +15,12 @@ from pymodbus.server import ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
 from valve_sim.model.errors import ValveError
+from valve_sim.station.loop_thread import LoopThread
 from valve_sim.station.plc import COMMANDS, SPACING, STATUS, PlcStation, RefusedError
 
 _READS, _WRITES = (3, 4), (6, 16)
 _STATUS_COUNT: Final = 8
 Clock = Callable[[], float]
-
-
-class Side(Protocol):
-    """One side of Modbus, in the event loop that started it."""
-
-    async def start(self) -> None:
-        """Begin."""
-
-    async def stop(self) -> None:
-        """End."""
 
 
 class PlcServer:
@@ -155,36 +144,10 @@ class PlcClient:
                 raise ModbusException(f"register {self._first + base + STATUS} cannot be written: {done}")
 
 
-class SideThread:
+class ModbusThread(LoopThread):
     """A server or client in a thread of its own, for callers that have no event loop."""
 
-    def __init__(self, side: Side) -> None:
+    def __init__(self, side: PlcServer | PlcClient) -> None:
         # pymodbus logs each broken frame, which anybody on the network can send by the thousand.
         logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
-        self._side = side
-        self._loop = asyncio.new_event_loop()
-        self._thread = threading.Thread(target=self._loop.run_forever, name="modbus", daemon=True)
-
-    def start(self) -> None:
-        """Start it, and wait until it has begun.
-
-        Raises:
-            ValveError: it cannot begin.
-        """
-        self._thread.start()
-        self._run(self._side.start()).result()
-
-    def stop(self, timeout: float) -> bool:
-        """End it; whether it has ended within a time in s."""
-        if not self._thread.is_alive():
-            return True
-        try:
-            self._run(self._side.stop()).result(timeout)
-        except concurrent.futures.TimeoutError:
-            return False
-        self._loop.call_soon_threadsafe(self._loop.stop)
-        self._thread.join(timeout)
-        return not self._thread.is_alive()
-
-    def _run(self, work: Coroutine[Any, Any, None]) -> concurrent.futures.Future[None]:
-        return asyncio.run_coroutine_threadsafe(work, self._loop)
+        super().__init__("modbus", side)

@@ -1,7 +1,7 @@
 """The ROS side of opcua_node: what monitors and valves publish goes to a `StationServer`, and its methods to services.
 
-Threads: the main one takes what has been heard ten times a second, which takes a fraction of what an executor needs for
-each message, and answers ROS; the server has one of its own.
+Threads: one takes what has been heard ten times a second, which takes a fraction of what an executor needs for each
+message; the main one answers ROS; the server has one of its own.
 """
 
 from __future__ import annotations
@@ -16,11 +16,15 @@ from std_srvs.srv import Trigger
 
 from valve_sim.files.parameter_sections import Section
 from valve_sim.model.errors import ValveError
-from valve_sim.nodes.spinning import every
+from valve_sim.nodes.diagnostics import Level, Status
+from valve_sim.nodes.messages import diagnostic_array
+from valve_sim.nodes.realtime import NANOSECONDS
+from valve_sim.nodes.threads import Repeating
 from valve_sim.nodes.wiring import Interface, RosNode, declared, full_name
+from valve_sim.station.alarms import Alarm
 from valve_sim.station.hearing import StationEar
 from valve_sim.station.opcua_server import ServedValve, ServerThread, Settings, StationServer
-from valve_sim.station.opcua_tables import PARAMETERS, TOPICS, OpcUaSettings, opcua_settings
+from valve_sim.station.tables import OPCUA, OPCUA_TOPICS, OpcUaSettings, opcua_settings
 
 _PERIOD: Final = 0.1
 """s between looks at what was heard."""
@@ -29,9 +33,9 @@ _ANSWER_SECONDS: Final = 10.0
 
 
 class OpcUaNode(RosNode):
-    """The node `opcua`, with the topics `TOPICS` of each of `valves` and `monitors`.
+    """The node `opcua`, with the topics `tables.OPCUA_TOPICS` of each of `valves` and `monitors`.
 
-    Services called: <monitor>/recommission, <valve>/self_test. Parameters: `PARAMETERS`; they are read once, at the
+    Services called: <monitor>/recommission, <valve>/self_test. Parameters: `tables.OPCUA`; they are read once, at the
     start.
 
     Args:
@@ -43,7 +47,7 @@ class OpcUaNode(RosNode):
 
     def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
         super().__init__("opcua")
-        settings: OpcUaSettings = declared(self._node, sections, PARAMETERS, opcua_settings)
+        settings: OpcUaSettings = declared(self._node, sections, OPCUA, opcua_settings)
         valves = [full_name(self._node, name, "valves") for name in settings.valves]
         monitors = [full_name(self._node, name, "monitors") for name in settings.monitors]
         self._services: dict[tuple[str, str], Any] = {}
@@ -57,19 +61,35 @@ class OpcUaNode(RosNode):
             served,
             recommission=partial(self._call, "recommission"),
             self_test=partial(self._call, "self_test"),
+            told=self._tell,
         )
+        interface = Interface(self._node, OPCUA_TOPICS)
+        self._alarms = interface.publisher("~/alarms")
         thread = ServerThread(server, self._fail)
         thread.start()
-        self._threads.append(thread)
-        interface = Interface(self._node, TOPICS)
         ear = StationEar(self._node, self._clock, interface, valves, monitors, thread.put, is_live=True)
-        every(self._node, _PERIOD, ear.look)
+        hearing = Repeating("hearing", ear.look, lambda: _PERIOD, self._fail)
+        hearing.start()
+        self._threads += (hearing, thread)
         self._node.get_logger().info(
             f"ready: {server.endpoint}, {len(served)} valves; clients connect whose certificates are in "
             f"{folder / 'trusted'}; those of others are kept in {folder / 'rejected'}"
         )
 
-    # --- methods, in the server's thread ---
+    # --- in the server's thread ---
+
+    def _tell(self, valve: str, words: str, alarm: Alarm) -> None:
+        """Publish what a person did to an alarm, for whoever keeps it."""
+        values = {
+            "valve": valve,
+            "user": alarm.user,
+            "comment": alarm.comment,
+            "shelved": str(alarm.is_shelved).lower(),
+        }
+        status = Status(valve.lstrip("/"), Level(alarm.level), words, values)
+        if self._node.context.ok():
+            name = self._node.get_fully_qualified_name()
+            self._alarms.publish(diagnostic_array([status], name, round(alarm.time * NANOSECONDS)))
 
     async def _call(self, name: str, valve: str) -> tuple[bool, str]:
         client = self._services[name, valve]

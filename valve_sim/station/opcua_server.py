@@ -9,11 +9,9 @@ Node identifiers are text, "tank_1/valve.Stroke.T1", and stay the same from star
 from __future__ import annotations
 
 import asyncio
-import concurrent.futures
 import contextlib
 import math
 import socket
-import threading
 import uuid
 from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
 from datetime import datetime, timezone
@@ -28,6 +26,7 @@ from valve_sim.files.whole_files import atomic_write
 from valve_sim.model.errors import ValveError
 from valve_sim.station.alarms import SEVERITIES, Alarm, Refusal, Shelving, load_alarms, save_alarms
 from valve_sim.station.figures import BY_PATH, FIGURES, Figure, Report, unit_id, unit_words, utc
+from valve_sim.station.loop_thread import LoopThread
 from valve_sim.station.opcua_history import History
 from valve_sim.station.opcua_security import Gate, NamingServer, Rules, caller, ensure_identity
 
@@ -47,6 +46,15 @@ _ANSWERS: Final = {"Acknowledge": 9111, "Confirm": 9113, "AddComment": 9029}
 """Methods by which a person answers an alarm, and the node of each in the alarm's type, which clients call, too."""
 _SHELVES: Final = {"TimedShelve": 2949, "OneShotShelve": 2948, "Unshelve": 2947}
 """Methods by which a person shelves an alarm, as `_ANSWERS`."""
+_DONE: Final = {
+    "Acknowledge": "acknowledged",
+    "Confirm": "confirmed",
+    "AddComment": "commented",
+    "TimedShelve": "shelved for a time",
+    "OneShotShelve": "shelved until it is inactive",
+    "Unshelve": "taken from the shelf",
+}
+"""What a person has done by each method, in words."""
 _SHELVED: Final = {
     Shelving.UNSHELVED: ("Unshelved", 2930),
     Shelving.TIMED: ("TimedShelved", 2932),
@@ -58,6 +66,8 @@ _BETWEEN_LOOKS: Final = 1.0
 
 Action = Callable[[str], Awaitable[tuple[bool, str]]]
 """What a method does, given the valve: whether it was done, and what to say."""
+Told = Callable[[str, str, Alarm], None]
+"""Told the valve, what has been done to its alarm, in words, and the alarm since then."""
 
 
 class ServedValve(NamedTuple):
@@ -94,12 +104,15 @@ class StationServer:
     Args:
         settings: how it is reached. valves: that are served.
         recommission, self_test: what the methods of a valve do; default: they say that nobody does it.
+        told: called in the server's thread when a person has answered or shelved an alarm, or its shelving is over.
     """
 
     def __init__(
         self, settings: Settings, valves: Sequence[ServedValve], *,
         recommission: Action | None = None, self_test: Action | None = None,
+        told: Told = lambda valve, words, alarm: None,
     ) -> None:  # fmt: skip
+        self._told = told
         self._settings, self._valves = settings, tuple(valves)
         self._actions = {"Recommission": recommission or _nobody, "SelfTest": self_test or _nobody}
         self._alarms_file = settings.folder / "alarms.json"
@@ -340,6 +353,7 @@ class StationServer:
                         continue
                     with contextlib.suppress(ValveError):  # a full disk, say: tried again at the next look
                         await self._change(valve, found)
+                        self._told(valve.name, "taken from the shelf: its time is over", found)
 
     async def _write_model(self, path: Path) -> None:
         with atomic_write(path) as partial:
@@ -369,7 +383,7 @@ class StationServer:
                 answers = {"Acknowledge": alarm.acknowledge, "Confirm": alarm.confirm, "AddComment": alarm.commented}
                 return answers[name](event, words or "", caller(), now, _new_event())
 
-            return await self._told_by_a_person(valve, answered)
+            return await self._told_by_a_person(valve, _DONE[name], answered)
 
         return answer
 
@@ -387,7 +401,7 @@ class StationServer:
                 seconds = 1e-3 * given[0].Value if name == "TimedShelve" else None
                 return alarm.shelve(seconds, caller(), now, _new_event())
 
-            return await self._told_by_a_person(valve, shelved)
+            return await self._told_by_a_person(valve, _DONE[name], shelved)
 
         return shelve
 
@@ -416,7 +430,9 @@ class StationServer:
 
         return refresh  # type: ignore[no-any-return]
 
-    async def _told_by_a_person(self, valve: ServedValve, change: Callable[[Alarm, float], Alarm | Refusal]) -> Any:
+    async def _told_by_a_person(
+        self, valve: ServedValve, done: str, change: Callable[[Alarm, float], Alarm | Refusal]
+    ) -> Any:
         """What a method that changes an alarm returns; the change is kept before it is shown."""
         async with self._writing:
             found = change(self._alarms[valve.name], datetime.now(timezone.utc).timestamp())
@@ -426,6 +442,7 @@ class StationServer:
                 await self._change(valve, found)
             except ValveError:
                 return ua.StatusCode(ua.StatusCodes.BadResourceUnavailable)
+            self._told(valve.name, f"{done} by {found.user}", found)
         return []
 
     # --- alarms ---
@@ -478,7 +495,7 @@ class StationServer:
             await self._history.stop()
 
 
-class ServerThread:
+class ServerThread(LoopThread):
     """A server in a thread of its own, for callers that have no event loop.
 
     Args:
@@ -486,32 +503,12 @@ class ServerThread:
     """
 
     def __init__(self, server: StationServer, fail: Callable[[Exception], None]) -> None:
+        super().__init__("opcua", server)
         self._server, self._fail = server, fail
-        self._loop = asyncio.new_event_loop()
-        self._thread = threading.Thread(target=self._loop.run_forever, name="opcua", daemon=True)
-
-    def start(self) -> None:
-        """Start the server and wait until it listens.
-
-        Raises:
-            ValveError: it cannot be started.
-        """
-        self._thread.start()
-        asyncio.run_coroutine_threadsafe(self._server.start(), self._loop).result()
 
     def put(self, report: Report) -> None:
         """Hand a report over; it is shown soon."""
-        asyncio.run_coroutine_threadsafe(self._put(report), self._loop)
-
-    def stop(self, timeout: float) -> bool:
-        """End the server; whether it has ended within a time in s."""
-        try:
-            asyncio.run_coroutine_threadsafe(self._server.stop(), self._loop).result(timeout)
-        except concurrent.futures.TimeoutError:
-            return False
-        self._loop.call_soon_threadsafe(self._loop.stop)
-        self._thread.join(timeout)
-        return not self._thread.is_alive()
+        self.run(self._put(report))
 
     async def _put(self, report: Report) -> None:
         try:

@@ -11,26 +11,30 @@ import time
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from std_msgs.msg import Float64
 
 from valve_sim.files.parameter_sections import Section
 from valve_sim.files.whole_files import write_whole
-from valve_sim.nodes.commanding import CommandingNode
 from valve_sim.nodes.realtime import Arrival
 from valve_sim.nodes.receiving import Inbox
-from valve_sim.nodes.wiring import Interface, declared, full_name
+from valve_sim.nodes.wiring import CommandingNode, Interface, declared, full_name
 from valve_sim.station.hearing import hear_live
-from valve_sim.station.modbus import PlcClient, PlcServer, Side, SideThread
+from valve_sim.station.modbus import ModbusThread, PlcClient, PlcServer
 from valve_sim.station.plc import PlcStation, map_csv
-from valve_sim.station.plc_tables import PARAMETERS, TOPICS, PlcSettings, plc_settings
+from valve_sim.station.tables import PLC, PLC_TOPICS, PlcSettings, plc_settings
+
+_BETWEEN_COMMANDS: Final = 0.05
+"""s between repetitions of a command that has not changed: a valve whose command_timeout is 0.1 s stays as it is."""
+_BETWEEN_SIGNS: Final = 0.2
+"""s between looks at the currents of the valves, which only tell that they live."""
 
 
 class PlcNode(CommandingNode):
-    """The node `plc`, with the topics `TOPICS` of each of `valves`.
+    """The node `plc`, with the topics `tables.PLC_TOPICS` of each of `valves`.
 
-    Parameters: `PARAMETERS`; they are read once, at the start.
+    Parameters: `tables.PLC`; they are read once, at the start.
 
     Args:
         sections: (file, section) of the parameter files on the command line.
@@ -41,10 +45,10 @@ class PlcNode(CommandingNode):
 
     def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
         super().__init__("plc")
-        settings: PlcSettings = declared(self._node, sections, PARAMETERS, plc_settings)
+        settings: PlcSettings = declared(self._node, sections, PLC, plc_settings)
         self._settings = settings
         self._valves = [full_name(self._node, name, "valves") for name in settings.valves]
-        self._inbox = Inbox(self._node, self._clock)
+        self._inbox, self._signs = (Inbox(self._node, self._clock) for _ in range(2))
         self._was_on = [False] * len(self._valves)
         self._station = PlcStation(
             self._valves, settings.watchdog, changed=self._command, low_word_first=settings.low_word_first
@@ -52,7 +56,7 @@ class PlcNode(CommandingNode):
         self._wire()
         if settings.map_file:
             write_whole(Path(settings.map_file).expanduser(), map_csv(self._valves))
-        side = SideThread(self._make_side())
+        side = ModbusThread(self._make_side())
         side.start()
         self._threads.insert(0, side)
         place = f"{settings.plc_host or settings.address}:{settings.port}"
@@ -64,16 +68,24 @@ class PlcNode(CommandingNode):
 
     def _work(self) -> None:
         period, due = 1.0 / self._settings.rate, time.monotonic()
+        repeat_at = look_at = due
         while not self._stop.wait(max(0.0, due - time.monotonic())):
+            now = time.monotonic()
             self._inbox.deliver()
+            if now >= look_at:
+                look_at = now + _BETWEEN_SIGNS
+                self._signs.deliver()
             self._station.beat()
+            is_due = now >= repeat_at
+            if is_due:
+                repeat_at = max(repeat_at + _BETWEEN_COMMANDS, now)
             for valve in range(len(self._valves)):
-                self._command(valve)
+                self._command(valve, is_due=is_due)
             due = max(due + period, time.monotonic())
 
     # --- wiring ---
 
-    def _make_side(self) -> Side:
+    def _make_side(self) -> PlcServer | PlcClient:
         settings = self._settings
         if not settings.plc_host:
             return PlcServer(self._station, settings.address, settings.port)
@@ -83,10 +95,10 @@ class PlcNode(CommandingNode):
         )  # fmt: skip
 
     def _wire(self) -> None:
-        interface = Interface(self._node, TOPICS)
+        interface = Interface(self._node, PLC_TOPICS)
         for place, valve in enumerate(self._valves):
             self._voltages.append(interface.publisher("{valve}/coil_voltage", valve=valve))
-            hear_live(interface, self._inbox, valve, partial(self._hear, place))
+            hear_live(interface, self._inbox, self._signs, valve, partial(self._hear, place))
 
     # --- what is heard and commanded ---
 
@@ -95,14 +107,15 @@ class PlcNode(CommandingNode):
         values = {} if name == "coil_current" else {name: value}
         self._station.hear(valve, time.monotonic(), **values)
 
-    def _command(self, valve: int) -> None:
-        """Publish a coil's voltage as it is to be now."""
+    def _command(self, valve: int, *, is_due: bool = False) -> None:
+        """Publish a coil's voltage as it is to be now, where that has changed or is to be repeated."""
         with self._commanding:
             if self._is_off or not self._node.context.ok():
                 return
             is_on = self._station.is_on(valve, time.monotonic())
-            self._voltages[valve].publish(Float64(data=self._settings.voltage if is_on else 0.0))
             was_on, self._was_on[valve] = self._was_on[valve], is_on
+            if is_on is not was_on or is_due:
+                self._voltages[valve].publish(Float64(data=self._settings.voltage if is_on else 0.0))
         if was_on and not is_on and self._station.is_silent(valve, time.monotonic()):
             self._say(f"{self._valves[valve]}: de-energised, the PLC has been silent for {self._settings.watchdog:g} s")
 

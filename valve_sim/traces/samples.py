@@ -32,7 +32,7 @@ class Samples(NamedTuple):
         stamps: ns, shape (n,).
         delays: What bag times are after them, ns, shape (n,).
         pilot: Shape (n,).
-        main: Likewise; NaN where there is none.
+        main: Shape (n,); NaN where there is none.
     """
 
     stamps: NDArray[np.int64]

@@ -68,7 +68,7 @@ def stroke_starts(drive: Drive) -> IntArray:
 
 
 def stroke_numbers(drive: Drive, times: Array) -> NDArray[np.int32]:
-    """(n,) which stroke each time belongs to, from 0 on; what comes before the first belongs to it."""
+    """(n,) the number of the stroke that each time belongs to, from 0 on; times before the first stroke have 0."""
     starts = drive.times[stroke_starts(drive)]
     found = np.empty(len(times), dtype=np.int32)
     for own in blocks(len(times)):
@@ -77,7 +77,7 @@ def stroke_numbers(drive: Drive, times: Array) -> NDArray[np.int32]:
 
 
 def command_strokes(drive: Drive) -> list[tuple[float, float]]:
-    """From when to when, s, each command's stroke lasts: from late in the rest before it to late in the one after."""
+    """The interval, s, of each command's stroke: from late in the rest before it to late in the rest after it."""
     later = stroke_starts(drive)[1:]
     rests = drive.times[later] - drive.times[later - 1]
     edges = [-math.inf, *(drive.times[later] - BEFORE_STROKE * rests).tolist(), math.inf]

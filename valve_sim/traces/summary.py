@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class Gap(NamedTuple):
-    """A stretch without samples: where it begins, s, and how long it is, s."""
+    """A time without samples: when it begins and how long it is, both in s."""
 
     start: float
     length: float

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class DriveErrors(NamedTuple):
-    """How well commands are known that were read from samples of a voltage, not recorded as commands.
+    """How well the times and levels of commands are known that were found in samples of a voltage.
 
     Attributes:
         times: Standard deviation of each command's time, s, shape (k,); 0 where it is exact.
@@ -98,7 +98,7 @@ class Trace(Signals):
 
     @property
     def primary_signal(self) -> str:
-        """The channel by which a valve is judged, the first that was recorded: position, current, outlet_pressure."""
+        """The signal that is compared with a model, the first that was recorded: position, current, outlet_pressure."""
         if self.has_positions:
             return JUDGED[0]
         recorded = self.signals()
@@ -122,13 +122,13 @@ class Trace(Signals):
 
     @property
     def primary_samples(self) -> Signal:
-        """The channel by which a valve is judged; a position is `usable_position`."""
+        """The samples of the signal that is compared with a model; a position is `usable_position`."""
         signal = self._other_signal
         return Signal(self.times, self.usable_position) if signal is None else signal
 
     @property
     def sample_times(self) -> NDArray[np.float64]:
-        """Its times, s."""
+        """The times of the samples of `primary_signal`, s."""
         signal = self._other_signal
         return self.times if signal is None else signal.times
 

@@ -130,7 +130,7 @@ def left_out_finding(trace: Trace) -> tuple[str, ...]:
 
 
 def another_valve(trace: Trace, parameters: ValveParameters) -> tuple[str, ...]:
-    """Say where the plunger goes where that of the declared valve cannot: it is another valve, or not as declared.
+    """Say whether the plunger goes where that of the declared valve cannot: then it is another valve.
 
     Either it travels beyond the declared stop, or it rests below it, where the declared attraction at the voltage that
     is on exceeds all that is declared to hold it, from there to the stop. Nothing is refused: a valve may be worn, or

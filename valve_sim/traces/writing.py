@@ -216,7 +216,7 @@ def write_bags(
     storage: Storage = "mcap",
     compressed: bool = False,
 ) -> None:
-    """Write several valves, by name, into one recording; otherwise as `write_bag`."""
+    """Write several valves, by name, into one recording with the topics that `write_bag` writes."""
     topics: dict[str, _Messages] = {}
     for valve, trace in traces.items():
         if trace.epoch_ns + SECOND * min(float(trace.drive.times.min(initial=0.0)), float(trace.sample_times[0])) < 0:

@@ -39,7 +39,7 @@ SHARE: Final = 1e-3
 COVARIANCE_DIGITS: Final = 6
 """Significant digits of a variance in the parameter file."""
 ROUNDED: Final = 5
-"""Significant digits that go into the parameter file: far finer than any table's uncertainty."""
+"""Significant digits that go into the parameter file: far finer than any table's standard error."""
 CLOSE: Final = 1e-5
 """s: an event this near its measured time counts as met."""
 MEMBERS: Final = 40
@@ -136,7 +136,7 @@ class FurtherMeasurement(NamedTuple):
 
     @property
     def power(self) -> float:
-        """Spread of the predictions in uncertainties."""
+        """Spread of the predictions, in standard errors of the measurement."""
         return (self.highest - self.lowest) / self.uncertainty
 
 
@@ -147,7 +147,7 @@ class EventDiagnosis:
     Attributes:
         declared: the declared valve as it stands. singles, pairs: best first, only those in which an event happens.
         shipped: the candidate whose values go into the parameter file, rounded. valve: the valve with them.
-        standard_errors: of these values by the table's uncertainties, the dampings taken as declared; they are
+        standard_errors: of these values by those of the table's times, the dampings taken as declared; they are
             tolerances of the valve, where the declared one has any.
         largest_attraction: N, of that valve while it opens.
         region: what fits equally well. measurements: that would narrow it, the most informative first.
@@ -202,7 +202,7 @@ def diagnose_events(table: EventTable, progress: Progress | None = None) -> Even
 
 
 def event_problem(plant: EventPlant) -> Problem:
-    """The fit's problem, with the table's uncertainties for noise."""
+    """The fit's problem, with the standard errors of the table for noise."""
     noises = {
         channel.kind: Noise(event.uncertainty, event.uncertainty, (), 0.0, 0)
         for channel, event in zip(plant.channels, plant.table.events, strict=True)
@@ -267,7 +267,7 @@ def _shipped(plant: EventPlant, candidate: Candidate) -> tuple[Candidate, dict[s
 
 
 def _standard_errors(plant: EventPlant, values: Mapping[str, float]) -> dict[str, float]:
-    """Of values that meet the events, by the uncertainties of these, to two digits."""
+    """Standard errors of values that meet the events, by those of the events, to two digits."""
     problem = event_problem(plant)
     columns = []
     for name, value in values.items():

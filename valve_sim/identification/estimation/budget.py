@@ -19,7 +19,7 @@ class OutOfWorkError(ValveError):
 
 
 class Budget:
-    """Work that may be done.
+    """How much a diagnosis may simulate.
 
     Args:
         strokes: simulated strokes; math.inf for as many as it takes.
@@ -40,7 +40,7 @@ class Budget:
 
     @classmethod
     def of_seconds(cls, seconds: float) -> Budget:
-        """The work that `--budget` stands for.
+        """The budget that `--budget SECONDS` stands for.
 
         Raises:
             ValveError: the time is not above 0.
@@ -51,7 +51,7 @@ class Budget:
 
     @classmethod
     def unlimited(cls) -> Budget:
-        """One that is never used up."""
+        """A budget without a limit."""
         return cls(math.inf)
 
     def count(self, strokes: int, derivatives: int = 0) -> None:
@@ -61,5 +61,5 @@ class Budget:
 
     @property
     def is_used_up(self) -> bool:
-        """Whether nothing more may be begun."""
+        """Whether the budget is used up, so that nothing more is begun."""
         return self.spent >= self.strokes

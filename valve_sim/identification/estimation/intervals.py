@@ -35,7 +35,7 @@ class Unbounded(enum.Enum):
 
 @dataclass(frozen=True)
 class Interval:
-    """A value with its uncertainty, in the parameter's unit.
+    """A value with its standard error, in the parameter's unit.
 
     Attributes:
         value, stderr: from the covariance. low, high: 95 % interval; infinite where the data do not bound it.

@@ -131,7 +131,7 @@ class Linearised:
         return self.at_rest().most_probable(self.sizes)
 
     def at_rest(self) -> BySizes:
-        """As `by_sizes`, by the rows alone in which the machine is known to be still."""
+        """What `by_sizes` estimates, from those rows alone in which the machine is known to be still."""
         whole = self.with_columns()[~self._result.problem.rows.places.moves]
         return self.by_sizes(gram(whole, whole), is_read=False)
 

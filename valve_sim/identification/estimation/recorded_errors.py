@@ -84,7 +84,7 @@ class _Found(NamedTuple):
     probability: float
 
     def over(self, span: float) -> _Found:
-        """As a share of a range."""
+        """This size over the range of the sensor, as a share of 1."""
         return _Found(self.size / span, self.stderr / span, self.low / span, self.high / span, self.probability)
 
 
@@ -287,7 +287,7 @@ def _with(sizes: Array, number: int, size: float) -> Array:
 
 
 def with_uncertain_sizes(result: Fit) -> Fit:
-    """A fit whose covariance holds what the uncertainty of the sizes of its recordings' errors adds."""
+    """A fit whose covariance allows for the sizes of its recordings' errors being estimates."""
     noise = result.problem.errors
     if noise is None:
         return result

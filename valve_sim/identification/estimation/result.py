@@ -109,7 +109,7 @@ class Fit:
         smooth: the curve among what was freed, with its prior, which `chi2` and `information` include.
         damping: λ of theory, eq. (29), of the next step.
         chi2_lower_bound: χ² that it can be expected to come to, at the least.
-        further: (k + m, k + m) what the uncertainty of the recordings' errors adds to the covariance; None: nothing.
+        further: (k + m, k + m) what the covariance of the recordings' errors adds to that of the fit; None: nothing.
     """
 
     problem: Problem
@@ -224,7 +224,7 @@ class Fit:
         return covariance if self.further is None else covariance + self.further
 
     def widening(self, name: str) -> float:
-        """By how much the variance of a freed parameter is larger for the uncertainty of the recordings' errors."""
+        """By how much the variance of a freed parameter is larger because the recordings' errors are estimates."""
         index = self.free.index(name)
         variance = float(self.covariance[index, index])
         if self.further is None or not math.isfinite(variance):

@@ -17,7 +17,7 @@ errors seem small. One weight for all of the curve is found among many; from the
 Each step of Gauss–Newton chooses them anew, from a curve that is nearly straight on.
 
 The covariance of a curve is that of all weights that the data leave possible, not of the best alone: the penalty makes
-the curve a Gaussian process, whose bands hold the bias of smoothing (Wahba 1983, Nychka 1988), and what the uncertainty
+the curve a Gaussian process, whose bands hold the bias of smoothing (Wahba 1983, Nychka 1988), and what the variance
 of the weights adds (Kass and Steffey 1989; Wood, Pya and Säfken 2016) is summed along the axes of their posterior.
 """
 
@@ -113,7 +113,7 @@ class Smoothness:
 
     @np.errstate(over="ignore", invalid="ignore")
     def covariance(self, information: Array, gradient: Array, at: Array, where: NDArray[np.int64]) -> Array:
-        """(K, K) of the coefficients, the uncertainty of their weights included; arguments as those of `chosen`."""
+        """(K, K) covariance of the coefficients, that of their weights included; arguments as those of `chosen`."""
         curve = self._about(information, gradient, at, where)
         logs = np.log(np.array(self.weights))
         best = curve.best(logs)

@@ -1,4 +1,4 @@
-"""The uncertainty of the time at which the valve received a command, measured while it works.
+"""The standard deviation of the time at which the valve received a command, measured while it works.
 
 A command on a topic has no stamp: it is timed when it arrives here, and the valve follows it when it arrives there. On
 a busy machine the two differ by milliseconds, from stroke to stroke. Two things show by how much: the jitter with which

@@ -160,7 +160,7 @@ class CommissionedPlant(Plant):
 
     @property
     def short_step(self) -> float | None:
-        """As of any valve."""
+        """The step for difference quotients, that of the valve's plant."""
         return self._plant.short_step
 
     @property
@@ -197,11 +197,11 @@ class CommissionedPlant(Plant):
 
     @property
     def varying(self) -> Sequence[Nuisance]:
-        """As of any valve that is watched."""
+        """What varies from stroke to stroke, that of the valve's plant."""
         return self._plant.varying
 
     def sensors(self, values: Mapping[str, float]) -> Mapping[int, Sensor]:
-        """As of any valve that is watched.
+        """The sensors with their errors, those of the valve's plant.
 
         Raises:
             SimulationError: the simulation could not be carried to its end.
@@ -214,7 +214,7 @@ class CommissionedPlant(Plant):
         return self._effects
 
     def condition_of(self, recording: int, group: int) -> Condition:
-        """As of any valve."""
+        """The condition under which a stroke was made, that of the valve's plant."""
         return self._plant.condition_of(recording, group)
 
     @property
@@ -224,7 +224,7 @@ class CommissionedPlant(Plant):
 
     @property
     def advice(self) -> Advice:
-        """As of any valve."""
+        """What to record next, in the words of the valve's plant."""
         return self._plant.advice
 
     def parameter(self, name: str) -> Parameter:
@@ -238,7 +238,7 @@ class CommissionedPlant(Plant):
         return self._plant.declared(effect if effect in self._dampings else name)
 
     def predict(self, values: Mapping[str, float]) -> list[Array]:
-        """As of any valve's plant.
+        """What the sensors show, by the valve's plant.
 
         Raises:
             SimulationError: the simulation could not be carried to its end.

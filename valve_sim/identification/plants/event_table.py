@@ -158,7 +158,7 @@ class EventPlant(ValveModel):
         super().__init__(table.valve.exact())
         self.table = table
         self._grid = np.arange(0.0, table.horizon, GRID)
-        # Each event is a channel of a kind of its own, because each has an uncertainty of its own.
+        # Each event is a channel of a kind of its own, because each has a standard error of its own.
         self._channels = [
             Channel(
                 f"{table.source}: {event.name}", f"event {event.name}", np.array([event.time]), np.array([event.time]),

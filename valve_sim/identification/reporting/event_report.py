@@ -142,7 +142,7 @@ def event_text(result: EventDiagnosis) -> str:
     )
     lines += [
         f"    {measurement_words(entry):<46}{entry.lowest:>9.3g} to {entry.highest:.3g} {entry.unit} ± "
-        f"{entry.uncertainty:g} ({entry.power:.0f} uncertainties)"
+        f"{entry.uncertainty:g} ({entry.power:.0f} standard errors)"
         for entry in result.measurements
     ]
     return "\n".join(lines)

@@ -47,7 +47,7 @@ class Meaning(NamedTuple):
     others: tuple[str, ...]
 
     def to_json(self) -> dict[str, Any]:
-        """As in report.json."""
+        """What report.json holds of it."""
         return {
             "title": self.title,
             "amounts": dict(self.amounts),

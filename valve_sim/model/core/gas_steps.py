@@ -190,7 +190,7 @@ def stage_states(own: Block, stride: int, h: float, stage: int, states: int) -> 
 
 
 def end_states(own: Block, stride: int, h: float, states: int) -> None:
-    """Likewise of the end of the step."""
+    """The states but for the density at the end of a step, or their tangents; arguments as of `stage_states`."""
     for j in range(states):
         total = 0.0
         for i in range(STAGES):
@@ -585,7 +585,7 @@ def regime_of(b: Block, relative: float, absolute: float) -> float:
 
 
 def regime_at(b: Block, t: Block, elapsed: float, relative: float, absolute: float) -> float:
-    """Likewise at some time within the step."""
+    """The regime of the flow, as `regime_of` says it, at a time within the step."""
     b[ELAPSED] = elapsed
     invoke(b[WATCH], b, t)
     return regime_of(b, relative, absolute)

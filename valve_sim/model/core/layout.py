@@ -126,8 +126,8 @@ OF_VALVE: Final = {
 }  # fmt: skip
 """The slots of numbers of the valve that the driver reads."""
 OF_GAS: Final = {"inlet_pressure": DECLARED_TANK, "demand_pressure": DECLARED_DEMAND}
-"""Likewise, of a valve with gas."""
+"""The slots of numbers of a valve with gas that the driver reads."""
 NO_EVENT, CONTACT, TURN, RISE, FALL, CURRENT_GONE, FLAGGED = 0, 1, 2, 3, 4, 5, 6
 """What ends a step; FLAGGED and more is the comparison of that number."""
 FLOW_SWITCHED: Final = FLAGGED + MOST_GUARDS
-"""Likewise: the flow of gas became choked or subsonic, or turned round."""
+"""What ends a step where the flow of gas became choked or subsonic, or turned round."""

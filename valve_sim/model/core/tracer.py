@@ -258,7 +258,7 @@ def where(condition: Condition, if_so: Expression, if_not: Expression) -> Node:
 
 
 def choice(condition: Condition, if_so: Expression, if_not: Expression) -> Node:
-    """As `where`, of expressions that meet, with their slopes, where they change places: that is no event."""
+    """One of two expressions, as `where`, but without an event: they and their slopes are equal where they change."""
     excess = condition.excess
     a, b = excess.trace.lift(if_so), excess.trace.lift(if_not)
     if a is b:

@@ -38,7 +38,7 @@ class Tag(enum.Enum):
 
 
 class Severity(NamedTuple):
-    """How much of an effect there is: a share (0.06 for 6 %) of something that a person knows."""
+    """How much of an effect there is, as a share (0.06 for 6 %) of a quantity such as the spring preload."""
 
     share: float
     of: str
@@ -197,11 +197,11 @@ class Effect(_Words):
 
     @property
     def changes_nothing(self) -> bool:
-        """Whether it has no way into the model."""
+        """Whether it has no expression, so that it would change nothing."""
         return not (self.force or self.friction or self.square or self.changes)
 
     def is_of(self, *, has_gas: bool) -> bool:
-        """Whether a valve with gas, or one without, can have it."""
+        """Whether it is an effect of valves with gas, or of those without."""
         return self.with_gas is None or self.with_gas is has_gas
 
     def parameter(self, name: str) -> Parameter:
@@ -260,7 +260,7 @@ class Effect(_Words):
         return {**kept, whole.count: len(items), **dict(zip(whole.members, padded, strict=True))}
 
     def neutral_values(self) -> dict[str, float]:
-        """Values at which it changes nothing; what only shapes it is at its prior scale."""
+        """Values at which it changes nothing; parameters that only shape it are at their prior scale."""
         return {parameter.name: parameter.neutral for parameter in self.parameters}
 
     def severity_of(self, values: Values, declared: Values) -> Severity | None:

@@ -1,0 +1,57 @@
+"""An event loop in a thread of its own, for what asyncio serves beside ROS."""
+
+from __future__ import annotations
+
+import asyncio
+import concurrent.futures
+import threading
+from collections.abc import Coroutine
+from typing import Any, Protocol
+
+
+class Served(Protocol):
+    """A server, or a client that polls, in the event loop that started it."""
+
+    async def start(self) -> None:
+        """Begin."""
+
+    async def stop(self) -> None:
+        """End."""
+
+
+class LoopThread:
+    """Serves something in a thread of its own.
+
+    Args:
+        name: of the thread. served: is started and stopped in it.
+    """
+
+    def __init__(self, name: str, served: Served) -> None:
+        self._served = served
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._loop.run_forever, name=name, daemon=True)
+
+    def start(self) -> None:
+        """Start it, and wait until it has begun.
+
+        Raises:
+            ValveError: it cannot begin.
+        """
+        self._thread.start()
+        self.run(self._served.start()).result()
+
+    def run(self, work: Coroutine[Any, Any, None]) -> concurrent.futures.Future[None]:
+        """Have something done in the thread, soon."""
+        return asyncio.run_coroutine_threadsafe(work, self._loop)
+
+    def stop(self, timeout: float) -> bool:
+        """End it; whether it has ended within a time in s."""
+        if not self._thread.is_alive():
+            return True
+        try:
+            self.run(self._served.stop()).result(timeout)
+        except concurrent.futures.TimeoutError:
+            return False
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join(timeout)
+        return not self._thread.is_alive()
