@@ -204,6 +204,7 @@ def test_the_size_that_is_found_is_that_which_acts() -> None:
                 own.plant.channels, np.split(factor @ random.standard_normal(2 * SAMPLES), 2), strict=True
             )
         ]
+        own = Problem(own.plant, noises=own.noises)
         result = fit(own, (), {}, nuisances=[WIDE, NARROW])
         sizes.append(Discrepancy(own.rows.places, LENGTHS).spread(Linearised(result)).size)
     assert np.exp(np.mean(np.log(sizes))) == pytest.approx(truth.size, rel=0.2)
