@@ -1,10 +1,15 @@
-"""Which tests share a process, where several processes run them."""
+"""What all tests share: how hypothesis draws, and which files share a process where several run them."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, settings
+
+# The same examples each time, and none is refused because the machine is busy.
+settings.register_profile("seeded", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("seeded")
 
 SHARED = {
     "test_html.py": "the diagnosis of friction",

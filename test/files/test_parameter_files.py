@@ -235,7 +235,7 @@ def sizes(upper: float) -> st.SearchStrategy[float]:
 
 
 @seed(16)
-@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=60, suppress_health_check=list(HealthCheck))
 @given(
     declared=st.fixed_dictionaries(
         {}, optional={name: sizes(DECLARED[name].upper - DECLARED[name].lower) for name in TOLERATED}

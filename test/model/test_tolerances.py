@@ -44,7 +44,7 @@ def positive(name: str) -> st.SearchStrategy[float]:
 
 
 @seed(16)
-@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=60, suppress_health_check=list(HealthCheck))
 @given(
     declared=st.fixed_dictionaries({}, optional={name: positive(name) for name in TOLERATED}),
     covariance=st.none() | covariances(),

@@ -58,7 +58,7 @@ def as_bytes(numbers: Sequence[float]) -> bytes:
     return np.array(numbers, dtype=np.float64).tobytes()
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.lists(made_joint_states(), min_size=1, max_size=6))
 def test_joint_states_are_read_as_rclpy_decodes_them_whatever_came_before(messages: list[JointState]) -> None:
     reader = joint_states()
@@ -74,7 +74,7 @@ def test_joint_states_are_read_as_rclpy_decodes_them_whatever_came_before(messag
                 reader.read(encoded)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.lists(made_coils(), min_size=1, max_size=6))
 def test_coils_are_read_as_rclpy_decodes_them(messages: list[BatteryState]) -> None:
     reader = coils()

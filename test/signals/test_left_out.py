@@ -276,7 +276,7 @@ def test_memory_is_that_of_a_few_columns() -> None:
 numbers = st.one_of(st.floats(-1e-3, 1e-3), st.sampled_from([0.0, 1e-3, CODE, 1e-9]), st.floats(-1e200, 1e200))
 
 
-@settings(max_examples=150, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@settings(max_examples=150, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(
     pieces=st.lists(st.tuples(st.integers(1, 60), numbers, numbers), max_size=12),
     noise=st.sampled_from([0.0, 1e-6, 1e-3]),

@@ -63,7 +63,7 @@ def cut_recorded(commands: Commands) -> list[list[tuple[float, float]]]:
 
 
 @seed(0)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(commands=COMMANDS.map(absolute), late=st.sampled_from([0.0, 3e-3, 20e-3]))
 def test_live_and_recorded_commands_are_cut_alike(commands: list[tuple[float, float]], late: float) -> None:
     records = cut_live(commands, late)
@@ -78,7 +78,7 @@ def test_live_and_recorded_commands_are_cut_alike(commands: list[tuple[float, fl
 
 
 @seed(1)
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(commands=COMMANDS.map(absolute))
 def test_a_live_stroke_is_one_stroke_of_its_own_trace(commands: list[tuple[float, float]]) -> None:
     """Whoever cuts a live stroke again, as a recording, finds it whole: the trace of one holds no other's command."""

@@ -46,7 +46,7 @@ def test_a_live_valve_is_the_whole_run_to_the_last_bit(kind: str, seed: int) -> 
     assert tuple(events) == whole.events
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.lists(st.floats(0.0, 0.03), max_size=12).map(sorted))
 def test_samples_do_not_depend_on_each_other(looks: list[float]) -> None:
     """Cut invariance: one sample among others is that sample alone."""

@@ -83,7 +83,7 @@ def test_coefficients_are_those_of_cauchy_s_integral(name: str) -> None:
 
 @pytest.mark.parametrize("name", EXPRESSIONS)
 @pytest.mark.parametrize("symbol", ["x", "p"])
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(x=st.floats(-0.9, 0.9), p=st.floats(0.1, 2.0))
 def test_derivatives_are_those_of_a_complex_step(name: str, symbol: str, x: float, p: float) -> None:
     trace = Trace()
@@ -128,7 +128,7 @@ def test_what_is_no_expression_is_refused_with_the_reason() -> None:
         exp(1.0)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.floats(-750.0, 700.0))
 def test_exp_is_right_to_rounding(value: float) -> None:
     found = coefficients_of_exp()(value)
