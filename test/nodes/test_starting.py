@@ -20,7 +20,7 @@ pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
 
 PROGRAM = """
-import os, sys, time
+import ctypes, os, sys, time
 import rclpy
 from valve_sim.nodes.starting import run_node
 
@@ -46,12 +46,17 @@ class Node:
     def spin(self):
         interrupted("spin")
         interrupted("thread")
+        if where == "hang":
+            os.kill(os.getpid(), number)
         while rclpy.ok():
             pass
         print("ROS is shut down", flush=True)
 
     def close(self, timeout):
         interrupted("close")
+        if where == "hang":
+            # As compiled code that never returns, and lets no other thread of Python run.
+            ctypes.PyDLL(None).sleep(10_000)
         return where != "thread"
 
 
@@ -120,6 +125,12 @@ def test_a_thread_that_calculates_on_does_not_keep_a_node(tmp_path: Path, number
     ran = run(tmp_path, "thread", number)
     assert ran.returncode == 0
     assert own_lines(ran.stderr) == ["node: ended in the middle of a calculation"]
+
+
+def test_a_node_that_hangs_in_compiled_code_is_ended_and_says_where(tmp_path: Path) -> None:
+    ran = run(tmp_path, "hang", signal.SIGTERM)
+    assert ran.returncode == 1
+    assert "in close" in ran.stderr
 
 
 def seconds_to_end(folder: Path, place: str, number: signal.Signals, *, is_endless: bool) -> float:

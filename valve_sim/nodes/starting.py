@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import faulthandler
 import importlib
 import inspect
 import itertools
@@ -32,6 +33,8 @@ STOP_SECONDS: Final = 0.3
 """s that each thread of a node may take to end; one that calculates for longer is ended with the process."""
 END_SECONDS: Final = 1.5
 """s after a signal at which a node is ended, whatever it does."""
+LAST_SECONDS: Final = 10.0
+"""s after a signal at which a node is ended that hangs in a library's compiled code, where no thread of Python runs."""
 _PARAMETER_FLAG: Final = "--params-file"
 _CODE: Final = "    "
 """Indentation of the commands in a usage."""
@@ -278,7 +281,8 @@ class _Signals:
 
     Python's own answer to Ctrl-C is an exception at whatever place is reached, also within a callback or a message that
     ROS is just making: it came up as another error, or not at all. A process that has not ended by `END_SECONDS`,
-    because it reads a long recording or answers a question that takes long, is ended there.
+    because it reads a long recording or answers a question that takes long, is ended there. One that hangs in compiled
+    code, as rclpy once did while it destroyed a node, is ended by `LAST_SECONDS` with code 1; stderr has where it hung.
     """
 
     def __init__(self) -> None:
@@ -293,6 +297,8 @@ class _Signals:
         latest = threading.Timer(END_SECONDS, self._end)
         latest.daemon = True
         latest.start()
+        with contextlib.suppress(OSError, ValueError, AttributeError):  # without stderr there is no such guard
+            faulthandler.dump_traceback_later(LAST_SECONDS, exit=True)
 
     def _end(self) -> None:
         _end_at_once(0 if self.node is None else self.node.exit_code)
