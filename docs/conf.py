@@ -42,8 +42,8 @@ html_math_renderer = "mathml" if has["latex2mathml"] else "mathjax"
 myst_enable_extensions = ["dollarmath", "deflist", "colon_fence"]
 myst_heading_anchors = 4
 # The notebook is executed while the site is built, wherever that can be done.
-nb_execution_mode = "force" if all(map(find_spec, ["numba", "ipykernel", "rosbags"])) else "off"
-nb_execution_timeout = 300
+nb_execution_mode = "force" if all(map(find_spec, ["llvmlite", "ipykernel", "rosbags"])) else "off"
+nb_execution_timeout = -1  # a busy machine takes its time
 nb_execution_raise_on_error = True
 nb_merge_streams = True
 
