@@ -23,7 +23,6 @@ from valve_sim.model import (
     Drive,
     ParameterError,
     Valve,
-    can_open,
     published_times,
     simulate,
 )
@@ -304,7 +303,7 @@ def test_the_default_opens_at_the_published_times_and_the_published_one_never() 
     assert published_times(response) == pytest.approx((5.3e-3, 9.9e-3), abs=1e-6)
     published = load_valve(config_path("published.yaml"))
     assert published.exact() == Valve()
-    assert not can_open(published)
+    assert not published.can_open()
     assert all(math.isnan(time) for time in published_times(simulate(published, Drive.of([0.0], [9.0]), [1.0])))
 
 
@@ -332,4 +331,4 @@ def test_shipped_tolerances_are_what_their_comments_say() -> None:
 
 @pytest.mark.parametrize("tank", [1, 2, 3])
 def test_every_tank_of_the_station_opens(tank: int) -> None:
-    assert can_open(load_valve(config_path(f"tank_{tank}.yaml")))
+    assert load_valve(config_path(f"tank_{tank}.yaml")).can_open()

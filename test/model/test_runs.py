@@ -22,7 +22,6 @@ from valve_sim.model import (
     SimulationError,
     Stepper,
     Valve,
-    can_open,
     published_times,
     simulate,
     simulate_many,
@@ -198,7 +197,7 @@ def test_the_first_event_of_some_kinds_is_found() -> None:
     ],
 )
 def test_a_valve_opens_where_the_reference_voltage_held_for_ever_lifts_it(valve: Valve, opens: bool) -> None:
-    assert can_open(valve) is opens
+    assert valve.can_open() is opens
 
 
 def test_of_many_valves_the_one_that_fails_is_named() -> None:

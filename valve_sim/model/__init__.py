@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from valve_sim.model.parameters import DECLARED, Parameter, ValveParameters
     from valve_sim.model.response import Event, Response, published_times
     from valve_sim.model.simulation import TOLERANCE, simulate, simulate_many
-    from valve_sim.model.stepper import CoilReading, Reading, Stepper, can_open
+    from valve_sim.model.stepper import CoilReading, Reading, Stepper
     from valve_sim.model.tolerances import EXACT, Tolerances
     from valve_sim.model.valve import Valve
 
@@ -44,7 +44,6 @@ __all__ = [
     "Valve",
     "ValveError",
     "ValveParameters",
-    "can_open",
     "published_times",
     "simulate",
     "simulate_many",
@@ -58,7 +57,7 @@ _MODULES: Final = {
     "parameters": ("DECLARED", "Parameter", "ValveParameters"),
     "response": ("Event", "Response", "published_times"),
     "simulation": ("TOLERANCE", "simulate", "simulate_many"),
-    "stepper": ("CoilReading", "Reading", "Stepper", "can_open"),
+    "stepper": ("CoilReading", "Reading", "Stepper"),
     "tolerances": ("EXACT", "Tolerances"),
     "valve": ("Valve",),
 }

@@ -58,16 +58,6 @@ def reading_at_rest(valve: Valve, time: float) -> Reading | None:
     return Reading(time, *(0.0,) * 7, Phase.CLOSED, (), 0.0)
 
 
-def can_open(valve: Valve) -> bool:
-    """Whether the reference voltage, held without end, would lift the pilot plunger off its seat."""
-    voltage, *lags = valve.after_effects("reference_voltage", "coil_time_constant", "eddy_time_constant")
-    settled = 50.0 * sum(lags) + 1e-3
-    live = Live.at_rest(valve, 0.0, TOLERANCE)
-    live.command(voltage)
-    live.step(settled, commit=True)
-    return bool(live.row[4] != Phase.CLOSED)
-
-
 _Change = Callable[[Live], Live]
 """Changes a valve that is stepped, at the time of its state; returns what is stepped from there on."""
 

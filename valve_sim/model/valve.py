@@ -15,6 +15,7 @@ from valve_sim.model.core.flux import why_no_flux
 from valve_sim.model.core.plan import Plan, plan_of
 from valve_sim.model.core.symbols import Own
 from valve_sim.model.core.tracer import Node, Trace
+from valve_sim.model.core_types import Phase
 from valve_sim.model.effects import CATALOGUE, Effect, check_effects
 from valve_sim.model.errors import ParameterError
 from valve_sim.model.gas import GasParameters, check_gas
@@ -177,6 +178,19 @@ class Valve:
     def exact(self) -> Valve:
         """This valve with its values taken as exact: without tolerances, but for the sensor's."""
         return replace(self, tolerances=Tolerances(sensor=self.tolerances.sensor))
+
+    def can_open(self) -> bool:
+        """Whether the reference voltage, held without end, would lift the pilot plunger off its seat."""
+        # Imported here, for both are of a valve.
+        from valve_sim.model.live import Live
+        from valve_sim.model.simulation import TOLERANCE
+
+        voltage, *lags = self.after_effects("reference_voltage", "coil_time_constant", "eddy_time_constant")
+        settled = 50.0 * sum(lags) + 1e-3
+        live = Live.at_rest(self, 0.0, TOLERANCE)
+        live.command(voltage)
+        live.step(settled, commit=True)
+        return bool(live.row[4] != Phase.CLOSED)
 
 
 def _check_one_plunger(effects: Mapping[str, Mapping[str, float]], gas: GasParameters | None, source: str) -> None:

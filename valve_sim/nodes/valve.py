@@ -19,7 +19,7 @@ from std_srvs.srv import Trigger
 
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.files.parameter_sections import Section
-from valve_sim.model import ParameterError, Phase, Valve, can_open
+from valve_sim.model import ParameterError, Phase, Valve
 from valve_sim.nodes import topics
 from valve_sim.nodes.diagnostics import Level, Reminder, Status, command_status, timing_status, valve_status
 from valve_sim.nodes.live_valve import LiveValve, Step, self_test
@@ -344,7 +344,7 @@ class ValveNode(RosNode):
 
     def _warn_if_it_cannot_open(self, valve: Valve) -> None:
         with contextlib.suppress(Exception):
-            if not can_open(valve):
+            if not valve.can_open():
                 self._node.get_logger().warning(
                     f"with these parameters the valve cannot open: at {valve.parameters.reference_voltage:g} V nothing "
                     "lifts the pilot plunger off its seat (look at valve.attraction_polynomial[0] and valve.seat_load)"

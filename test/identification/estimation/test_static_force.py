@@ -13,7 +13,7 @@ from valve_sim.files.tables import TableError
 from valve_sim.identification.estimation.static_force import BeginsLate, EndsEarly, StartOfMotion, fit_static_force
 from valve_sim.identification.reporting.findings import remarks
 from valve_sim.identification.reporting.identification import static_force_json
-from valve_sim.model import Tolerances, ValveError, can_open
+from valve_sim.model import Tolerances, ValveError
 
 TRUTH = np.array([3.0336, 17.096e3, -30.931e6, 24.026e9])
 NOISE = 0.05  # N
@@ -118,7 +118,7 @@ def test_without_a_constant_term_the_valve_is_said_never_to_open(tmp_path: Path)
     assert found.valve.parameters.attraction_polynomial[0] == 0.0
     assert set(found.intervals) == {"a1", "a2", "a3"}
     assert "never opens at 9 V" in remarks(found.findings)[0]
-    assert not can_open(found.valve)
+    assert not found.valve.can_open()
 
 
 def test_a_table_that_begins_away_from_the_seat_is_said_to_extrapolate(tmp_path: Path):

@@ -107,9 +107,8 @@ def plant_validation_text(result: PlantValidation) -> str:
 
 def plant_validation_junit(result: PlantValidation) -> str:
     """A JUnit report with a test case for each part."""
-    return junit(
-        {result.plant.file.path: {_part_name(own): (_part_words(own), not own.passed) for own in result.parts}}
-    )
+    cases = [(_part_name(own), _part_words(own), not own.passed) for own in result.parts]
+    return junit([(result.plant.file.path, cases)])
 
 
 def _part_name(part: PartChecked) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Sequence
 from typing import Any
 from xml.etree import ElementTree
 
@@ -30,17 +30,17 @@ def validation_text(result: Validation) -> str:
 
 def validation_junit(result: Validation) -> str:
     """JUnit XML: a suite for each recording, a test case for each stroke and one for the recording as a whole."""
-    return junit({replay.trace.source: _cases(replay) for replay in result.replays})
+    return junit([(replay.trace.source, _cases(replay)) for replay in result.replays])
 
 
-def junit(suites: Mapping[str, Mapping[str, tuple[str, bool]]]) -> str:
+def junit(suites: Sequence[tuple[str, Sequence[tuple[str, str, bool]]]]) -> str:
     """JUnit XML.
 
     Args:
-        suites: by name, test cases by name: what is said of each, and whether it failed.
+        suites: name, and test cases: name of each, what is said of it, and whether it failed. Several may share a name.
     """
     root = ElementTree.Element("testsuites", name="valve-sim validate")
-    for name, cases in suites.items():
+    for name, cases in suites:
         _add_suite(root, name, cases)
     for key in ("tests", "failures", "errors"):
         root.set(key, str(sum(int(suite.get(key, "0")) for suite in root)))
@@ -124,9 +124,9 @@ def _arrival_lines(replay: Replay) -> Iterator[str]:
             yield f"  {name:<32}{measured:>18}{model:>9.3f}{apart:>+9.3f}  {stroke.name}"
 
 
-def _cases(replay: Replay) -> dict[str, tuple[str, bool]]:
+def _cases(replay: Replay) -> list[tuple[str, str, bool]]:
     """Errors of each stroke and of the whole in words, and whether they are outside the tolerance."""
-    cases = {}
+    cases = []
     scale, unit = replay.readable
     for name, errors in (*((stroke.name, stroke.errors) for stroke in replay.strokes), ("in all", replay.errors)):
         words = (
@@ -135,15 +135,15 @@ def _cases(replay: Replay) -> dict[str, tuple[str, bool]]:
             f"maximum {three_digits(scale * errors.maximum)} {unit}, "
             f"tolerance {three_digits(scale * errors.tolerance)} {unit}"
         )
-        cases[name] = words, not errors.is_within
+        cases.append((name, words, not errors.is_within))
     return cases
 
 
-def _add_suite(root: ElementTree.Element, name: str, cases: Mapping[str, tuple[str, bool]]) -> None:
+def _add_suite(root: ElementTree.Element, name: str, cases: Sequence[tuple[str, str, bool]]) -> None:
     """A suite of test cases, each with its words and whether it failed."""
-    counts = {"failures": str(sum(is_outside for _, is_outside in cases.values())), "errors": "0", "skipped": "0"}
+    counts = {"failures": str(sum(is_outside for _, _, is_outside in cases)), "errors": "0", "skipped": "0"}
     suite = ElementTree.SubElement(root, "testsuite", {"name": name, "tests": str(len(cases)), **counts})
-    for case_name, (words, is_outside) in cases.items():
+    for case_name, words, is_outside in cases:
         case = ElementTree.SubElement(suite, "testcase", classname=name, name=case_name)
         if is_outside:
             ElementTree.SubElement(case, "failure", message=words, type="outside tolerance")
