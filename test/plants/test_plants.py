@@ -461,6 +461,7 @@ def test_mismatched_plant_opens_like_the_paper() -> None:
     assert run.pilot_position[-1] == pytest.approx(0.0, abs=2e-6)
 
 
+@pytest.mark.long
 def test_the_bench_valve_is_nearer_to_the_mismatched_plant_than_the_published_one() -> None:
     true = one_stroke(MismatchedPlant()).pilot_position
     bench = one_stroke(DeclaredPlant(parameters=mismatched.BENCH_VALVE)).pilot_position
@@ -484,7 +485,7 @@ def test_the_pull_is_stronger_on_the_way_back() -> None:
 
 
 @pytest.mark.parametrize("effects", [{}, chosen("stiction", "squeeze_film", "stop_bounce", "pressure_force")])
-@pytest.mark.parametrize("plant", [MismatchedPlant, ReluctancePlant])
+@pytest.mark.parametrize("plant", [MismatchedPlant, pytest.param(ReluctancePlant, marks=pytest.mark.long)])
 def test_halving_the_step_of_a_plant_of_another_form_changes_nothing(
     plant: Callable[..., Plant], effects: Effects
 ) -> None:
