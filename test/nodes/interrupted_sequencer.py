@@ -1,8 +1,10 @@
 """docs/examples/sequencer.py run again and again in one process, each time with a signal at a random moment.
 
-    python interrupted_sequencer.py SEQUENCER RUNS SEED --ros-args -p ...
+    python interrupted_sequencer.py SEQUENCER RUNS SEED VALVES --ros-args -p ...
 
-Prints how each run ended, a line each: the exit code, or the exception that came out of it, after which none is run.
+It runs at least so often, and until each of so many valves has been opened, which a busy machine may not come to before
+the first signals. Prints how each run ended, a line each: the exit code, or the exception that came out of it, after
+which none is run.
 """
 
 from __future__ import annotations
@@ -41,37 +43,39 @@ def interrupted(main: Callable[[], int], number: int, delay: float) -> int:
     return code
 
 
-def note_commands(remote_valve: Any) -> list[float]:
-    """A list that grows by each voltage that is put on a coil."""
-    commanded: list[float] = []
+def note_opened(remote_valve: Any) -> set[str]:
+    """A set that grows by the name of each valve that is given a voltage."""
+    opened: set[str] = set()
     command = remote_valve.command
 
     def note(self: Any, volts: float) -> None:
-        commanded.append(volts)
+        if volts:
+            opened.add(self.name)
         command(self, volts)
 
     remote_valve.command = note
-    return commanded
+    return opened
 
 
-def main(program: str, runs: int, seed: int) -> None:
+def main(program: str, runs: int, seed: int, valves: int) -> None:
     """All runs."""
     moments = random.Random(seed)
     example = runpy.run_path(program)
-    commanded = note_commands(example["RemoteValve"])
-    longest = LONGEST
-    for _ in range(runs):
+    opened = note_opened(example["RemoteValve"])
+    longest, done = LONGEST, 0
+    while done < runs or len(opened) < valves:
+        before = len(opened)
         number, delay = moments.choice(SIGNALS), moments.uniform(0.0, longest)
-        commanded.clear()
         try:
             print(interrupted(example["main"], number, delay), flush=True)
         except BaseException as error:
             print(repr(error), flush=True)
             raise
-        if not any(commanded):
+        done += 1
+        if len(opened) == before < valves:
             # The signal came before the valves had been found, which may take long: most should find it at work.
             longest *= 1.5
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], int(sys.argv[2]), int(sys.argv[3]))
+    main(sys.argv[1], *(int(word) for word in sys.argv[2:5]))

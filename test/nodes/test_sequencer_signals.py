@@ -53,7 +53,7 @@ def probe(in_own_domain: None) -> Iterator[Probe]:
 @pytest.mark.parametrize("runs", [3, pytest.param(12, marks=pytest.mark.long)])
 def test_a_signal_at_any_moment_closes_all_and_is_named(probe: Probe, tmp_path: Path, runs: int) -> None:
     valves = [QuickValve(probe.node, name) for name in NAMES]
-    program = [str(HERE / "interrupted_sequencer.py"), str(SEQUENCER), str(runs), "17"]
+    program = [str(HERE / "interrupted_sequencer.py"), str(SEQUENCER), str(runs), "17", str(len(NAMES))]
     parameters = ["-p", f"namespaces:=[{', '.join(NAMES)}]", "-p", "cycles:=1000000", "-p", "hold:=0.01"]
     output, errors = tmp_path / "output", tmp_path / "errors"
     with (
@@ -67,12 +67,13 @@ def test_a_signal_at_any_moment_closes_all_and_is_named(probe: Probe, tmp_path: 
         ) as process,
     ):
         try:
-            assert probe.until(lambda: process.poll() is not None, runs * PATIENCE), output.read_text()
+            assert probe.until(lambda: process.poll() is not None, 10 * runs * PATIENCE), output.read_text()
         finally:
             process.kill()
-    assert output.read_text().split() == runs * ["1"], errors.read_text()
-    words = errors.read_text()
-    assert words.count("sequencer: interrupted; all valves are commanded closed\n") == runs
+    ended, words = output.read_text().split(), errors.read_text()
+    assert len(ended) >= runs
+    assert set(ended) == {"1"}, words
+    assert words.count("sequencer: interrupted; all valves are commanded closed\n") == len(ended)
     assert "Traceback" not in words
     assert all(max(valve.voltages) > 0.0 for valve in valves)
     # What was sent last may be on its way when the process has ended.
