@@ -2,7 +2,7 @@
 
 DATA holds the published files as docs/examples/own_plants/make_csv.py says; its plants and maps are those that a reader
 of the documentation has. Printed are, for each machine, values and errors of models that are fitted to all of its
-recordings, beside what its owners published, and what a diagnosis says. It is the table of docs/results/measured.md.
+recordings, beside what its owners published, and what a diagnosis says. It is the table of docs/results/earlier.md.
 """
 
 from __future__ import annotations
