@@ -15,7 +15,7 @@ from valve_sim.files.channels import CHANNELS, COIL, JUDGED, LIVE_COIL, ROLES, U
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.fleet.columns import BEFORE, SCHEMA, columns, followed, quantities
 from valve_sim.model import CATALOGUE
-from valve_sim.model.core.latex import equations_without_effects, formulas_of
+from valve_sim.model.latex import equations_without_effects, formulas_of
 from valve_sim.model.parameters import Parameter
 from valve_sim.nodes import profile_playing, settings, topics
 from valve_sim.nodes.parameters import NodeParameter

@@ -266,7 +266,7 @@ def _answer(timed: _Timed) -> Answer:
 
 
 def _in_bands(case: Case, diagnosis: Diagnosis, held_out: Recording) -> tuple[float, float | None] | None:
-    """As of an `Answer`; None where the corrected model predicts no held-out positions.
+    """What an `Answer` has of held-out positions; None where the corrected model predicts none of them.
 
     The band is that of what the sensor shows, its errors among it; of true positions only where it has none.
     """

@@ -435,7 +435,7 @@ class DescentInSums(Descent):
     holds_rows = False
 
     def begin(self, at: Array, begun: Fit | None) -> tuple[Array, Array]:
-        """As of `Descent`; nothing is taken over from a fit that is gone on with but where it is."""
+        """Begin a descent as `Descent` does; of a fit that is continued only its place is taken over."""
         return super().begin(at, None)
 
     def residuals(self, at: Array) -> Array | None:

@@ -50,12 +50,18 @@ def made_once(make: Callable[_Given, _Made]) -> Callable[_Given, _Made]:
     return found
 
 
+def source_files() -> list[Path]:
+    """The modules whose functions, and whose numbers, go into compiled code."""
+    here = Path(__file__).parent
+    return [*sorted(here.rglob("*.py")), here.parent / "core_types.py"]
+
+
 @functools.cache
 def sources() -> str:
     """A digest of all that compiled code is made from, but for the equations at hand."""
     content = hashlib.sha256(f"{llvmlite.__version__} {sys.version} {llvm.get_host_cpu_name()}".encode())
     content.update(_features().encode())
-    for source in sorted(Path(__file__).parent.rglob("*.py")):
+    for source in source_files():
         content.update(source.read_bytes())
     return content.hexdigest()
 
