@@ -16,16 +16,7 @@ from hypothesis import strategies as st
 from valve_sim.files.parameter_files import default_valve, load_valve, save_valve
 from valve_sim.files.parameter_sections import Section, default_parameters, read_sections, write_sections
 from valve_sim.files.resources import config_path
-from valve_sim.model import (
-    CATALOGUE,
-    DECLARED,
-    EXACT,
-    Drive,
-    ParameterError,
-    Valve,
-    published_times,
-    simulate,
-)
+from valve_sim.model import CATALOGUE, DECLARED, EXACT, Drive, ParameterError, Valve, published_times, simulate
 from valve_sim.model.tolerances import TOLERATED
 
 

@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -21,6 +21,7 @@ from valve_sim.identification.diagnosis.events import (
     EventDiagnosis,
     FurtherMeasurement,
     Quantity,
+    Region,
     declared_counterparts,
 )
 from valve_sim.identification.estimation.intervals import CHI2_RISE_95
@@ -151,10 +152,6 @@ def event_text(result: EventDiagnosis) -> str:
 def _interval_words(interval: tuple[float, float]) -> str:
     low, high = interval
     return f"{low:.3g} and above, to the end of the search" if math.isinf(high) else f"{low:.3g} to {high:.3g}"
-
-
-if TYPE_CHECKING:
-    from valve_sim.identification.diagnosis.events import EventDiagnosis, Region
 
 
 def plot_event_diagnosis(folder: Path, result: EventDiagnosis) -> tuple[Path, ...]:
