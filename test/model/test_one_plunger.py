@@ -10,20 +10,11 @@ import numpy as np
 import pytest
 from plants.single_plunger import SINGLE_VALVE, SinglePlungerPlant
 
+from model.core.cases import PLANT_EVENTS
 from model.derivatives import ACCURACY, Case, errors_of
 from valve_sim.model import Drive, EventKind, ParameterError, Phase, Stepper, Valve, published_times, simulate
 from valve_sim.model.parameters import UNUSED_BY_ONE_PLUNGER
 
-KINDS = {
-    "unseated": EventKind.UNSEATED,
-    "opened": EventKind.REACHED_STOP,
-    "stop_rebound": EventKind.BOUNCED_AT_STOP,
-    "released": EventKind.RELEASED,
-    "seated": EventKind.SEATED,
-    "stuck": EventKind.STUCK,
-    "freed": EventKind.BROKE_AWAY,
-    "seat_rebound": EventKind.BOUNCED_AT_SEAT,
-}
 STROKES = Drive.of([1e-3, 26e-3, 48e-3, 58e-3, 70e-3, 90e-3], [24.0, 0.0, 30.0, 0.0, 20.0, 0.0])
 TIMES = np.arange(0.0, 0.12, 2e-4)
 EFFECTS: tuple[dict[str, dict[str, float]], ...] = (
@@ -54,7 +45,7 @@ def test_events_and_motion_are_those_of_an_independent_plant(
     ours = simulate(one_plunger(effects, seat_load=seat_load), STROKES, TIMES, start_time=0.0)
     plant = SinglePlungerPlant({"seat_load": seat_load}, effects)
     truth = plant.simulate(STROKES.times, STROKES.volts, TIMES)
-    assert [event.kind for event in ours.events] == [KINDS[event.kind] for event in truth.events]
+    assert [event.kind for event in ours.events] == [PLANT_EVENTS[event.kind] for event in truth.events]
     assert len(truth.events) >= 8
     for found, true in zip(ours.events, truth.events, strict=True):
         assert found.time == pytest.approx(true.time, abs=1e-9, rel=0.0)

@@ -164,11 +164,6 @@ def test_the_zero_drifts_by_as_much_from_stroke_to_stroke_and_along_a_ramp_withi
     assert np.diff(drifts).std() * np.sqrt(2.0) < 0.1e-6
 
 
-def test_the_sensors_of_both_plungers_drift_apart() -> None:
-    pilot, main = both_errors(replace(SILENT, drift=15e-6))
-    assert np.abs(pilot - main).max() > 5e-6
-
-
 @pytest.mark.parametrize("frequency", [50.0, 60.0])
 def test_hum_is_of_the_mains_and_odd_harmonics(frequency: float) -> None:
     laboratory = replace(SILENT, hum=1e-6, hum_frequency=frequency)
@@ -331,24 +326,6 @@ def test_stamps_are_late_as_the_clocks_make_them() -> None:
 
 
 # --- the source and the strokes --------------------------------------------------------------------------------------
-
-
-def test_a_source_with_a_resistance_lowers_current_and_time_constant_together() -> None:
-    made = recorded(replace(SILENT, supply_resistance=0.5), single_opening())
-    resistance, inductance = 10.0, 10.0 * 0.9934e-3
-    since = np.clip(made.times - 0.010, 0.0, None)
-    wanted = 9.0 / (resistance + 0.5) * (1.0 - np.exp(-since * (resistance + 0.5) / inductance))
-    np.testing.assert_allclose(made.truth.coil_current, wanted, atol=5e-6)
-
-
-def test_while_the_driver_is_off_the_current_decays_in_the_coil_alone() -> None:
-    made = recorded(replace(SILENT, supply_resistance=0.5))
-    release = train_profile().times[1]
-    since = made.times - release
-    after = (since > 0.0) & (since < 5e-3)
-    start = 9.0 / 10.5
-    np.testing.assert_allclose(made.truth.coil_current[after], start * np.exp(-since[after] / 0.9934e-3), atol=5e-6)
-    assert made.volts.tolist() == train_profile().volts.tolist()
 
 
 def test_the_drop_is_by_the_current_of_a_warm_coil_at_the_driver_s_gain() -> None:

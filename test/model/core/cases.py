@@ -12,11 +12,19 @@ from model.flux_cases import TIMES as FLUX_TIMES
 from model.flux_cases import random_case, random_release
 from model.gas.cases import gas_valve
 from model.random_valves import TIMES, random_valve
-from valve_sim.model import Valve
+from valve_sim.model import EventKind, Valve
 from valve_sim.model.drives import Drive
 
 CALIBRATED = Valve().with_values(a0=3.0336, coil_time_constant=0.9934e-3)
 STROKE = Drive.of([1e-3, 16e-3], [9.0, 0.0])
+PLANT_EVENTS = {
+    "unseated": EventKind.UNSEATED, "picked_up": EventKind.PICKED_UP, "opened": EventKind.REACHED_STOP,
+    "released": EventKind.RELEASED, "main_seated": EventKind.MAIN_SEATED, "seated": EventKind.SEATED,
+    "held_at_gap": EventKind.HELD_AT_GAP, "dropped_from_gap": EventKind.DROPPED, "lifted_from_gap": EventKind.LIFTED,
+    "stop_rebound": EventKind.BOUNCED_AT_STOP, "seat_rebound": EventKind.BOUNCED_AT_SEAT, "stuck": EventKind.STUCK,
+    "freed": EventKind.BROKE_AWAY,
+}  # fmt: skip
+"""What happened, by the names that the truth plants give it."""
 
 
 def random_gas(seed: int) -> tuple[Valve, Drive]:
