@@ -26,7 +26,6 @@ pytestmark = pytest.mark.long
 
 ROOT = Path(__file__).parents[2]
 GUIDE = (ROOT / "docs" / "how_to" / "fleet.md").read_text("utf-8")
-PATIENCE = 120.0
 
 
 class Machines(NamedTuple):

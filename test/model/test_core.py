@@ -50,44 +50,6 @@ def test_the_valve_as_printed_stays_closed_for_a_second() -> None:
     assert np.all(response.phase == Phase.CLOSED)
 
 
-def test_energy_is_conserved_without_losses() -> None:
-    valve = CALIBRATED.with_values(coil_time_constant=0.0, pilot_damping=0.0, main_damping=0.0)
-    times = np.linspace(0.0, 0.0082, 200)
-    response = simulate(valve, STEP, times, tolerance=1e-12)
-    x, d = response.pilot_position, valve.declared()
-    main = response.phase == Phase.MAIN
-    assert main.any()
-    assert not (response.phase == Phase.OPEN).any()
-
-    def work(position):
-        return sum(d[f"a{n}"] * position ** (n + 1) / (n + 1) for n in range(4))
-
-    gap = d["pilot_gap"]
-    kinetic = 0.5 * np.where(main, d["moving_mass"], d["pilot_mass"]) * response.pilot_velocity**2
-    spring = np.where(main, d["spring_preload"] * (x - gap) + 0.5 * d["spring_rate"] * (x**2 - gap**2), 0.0)
-    # At pick-up the velocity is continuous (ratio 1), so the main plunger's mass brings its kinetic energy with it.
-    gained = (d["moving_mass"] / d["pilot_mass"] - 1.0) * work(gap)
-    balance = kinetic + spring - work(x) - np.where(main, gained, 0.0)
-    assert np.abs(balance).max() < 1e-9 * kinetic.max()
-
-
-def test_linear_damping_is_exponential() -> None:
-    times = np.linspace(0.0, 7e-3, 50)
-    response = simulate(ballistic(pilot_damping=30.0), STEP, times)
-    assert np.all(response.phase[1:] == Phase.PILOT)
-    np.testing.assert_allclose(response.pilot_velocity, -np.expm1(-times * 30 / 0.109) / 30, atol=1e-10)
-
-
-def test_event_time_gradient_by_the_implicit_function() -> None:
-    def pick_up(force):
-        return simulate(ballistic(a0=force), STEP, LATE, tolerance=1e-12).first(EventKind.PICKED_UP)
-
-    by_difference = (pick_up(1.001) - pick_up(0.999)) / 0.002
-    time = pick_up(1.0)
-    # dt/dF = −(∂x/∂F) / v at the event.
-    assert by_difference == pytest.approx(-(time**2 / 2 / 0.109) / (time / 0.109), rel=1e-5)
-
-
 def test_friction_sticks_exactly_up_to_its_force() -> None:
     for force, moves in ((1.0, False), (1.0 + 1e-12, False), (1.0 - 1e-12, True)):
         valve = Valve(ballistic().parameters, {"coulomb_friction": {"force": force}})

@@ -61,20 +61,6 @@ def test_both_joints_are_the_plunger_and_t1_is_when_it_leaves_its_seat() -> None
     assert published_times(found) == (found.first(EventKind.UNSEATED), found.first(EventKind.REACHED_STOP))
 
 
-def test_a_valve_stepped_live_moves_as_the_whole_run_does() -> None:
-    valve = one_plunger({"pressure_force": {"force": 1.2, "equalisation_time": 4e-3}})
-    whole = simulate(valve, STROKES, TIMES, start_time=0.0)
-    stepper, events = Stepper(valve), []
-    for time, volts in zip(STROKES.times.tolist(), STROKES.volts.tolist(), strict=True):
-        stepper.command(time, volts)
-    for time in TIMES.tolist():
-        reading = stepper.advance(time)
-        events += reading.events
-        assert reading.main_position == reading.pilot_position
-    assert [event.kind for event in events] == [event.kind for event in whole.events]
-    assert [event.time for event in events] == pytest.approx([event.time for event in whole.events], abs=1e-9)
-
-
 @pytest.mark.parametrize("effects", EFFECTS, ids=lambda effects: "+".join(effects) or "plain")
 def test_derivatives_pass_every_event(effects: Mapping[str, Mapping[str, float]]) -> None:
     case = Case(one_plunger(effects), Drive.of([1e-3, 31e-3], [24.0, 0.0]))

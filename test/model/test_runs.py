@@ -62,17 +62,6 @@ def test_a_late_sensor_shows_positions_late_and_nothing_else() -> None:
     assert late.events == prompt.events
 
 
-def test_a_stepper_with_a_late_sensor_shows_what_a_whole_run_does() -> None:
-    valve = valve_with(sensor_delay={"delay": 3e-3})
-    whole = simulate(valve, STROKE, TIMES, start_time=0.0)
-    stepper, commands = Stepper(valve), list(zip(STROKE.times.tolist(), STROKE.volts.tolist(), strict=True))
-    for time, position, main in zip(TIMES.tolist(), whole.pilot_position, whole.main_position, strict=True):
-        while commands and commands[0][0] <= time:
-            stepper.command(*commands.pop(0))
-        reading = stepper.advance(time)
-        assert (reading.pilot_position, reading.main_position) == pytest.approx((position, main), abs=1e-12)
-
-
 SENSORS: list[dict[str, dict[str, float]]] = [
     {},
     {"sensor_delay": {"delay": 1e-3}},

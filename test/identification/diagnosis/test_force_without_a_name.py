@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 import pytest
 from plants.recording import Recorder, holdout_profile, train_profile
 
-from valve_sim.files.parameter_files import load_valve, save_valve
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose_plant
 from valve_sim.identification.plants.protocol import EffectChoice
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.diagnosis_json import to_json
-from valve_sim.model import Drive, Stepper, simulate
 
 from .test_run import DECLARED, measured
 
@@ -66,17 +63,3 @@ def test_the_report_describes_one_curve(found: Diagnosis) -> None:
     assert unexplained["force"] == pytest.approx(found.unexplained.force)
     assert len(unexplained["force_stderr"]) == len(unexplained["at"]) == len(unexplained["force"])
     assert all(math.isfinite(value) and value >= 0.0 for value in unexplained["force_stderr"])
-
-
-def test_a_live_valve_steps_the_corrected_file(found: Diagnosis, tmp_path: Path) -> None:
-    path = tmp_path / "corrected.yaml"
-    save_valve(path, found.valve, "test")
-    corrected = load_valve(path)
-    times = np.arange(0.0, 0.03, 1e-3)
-    stepper = Stepper(corrected)
-    stepper.command(0.0, 9.0)
-    stepped = [stepper.advance(float(time)).pilot_position for time in times]
-    whole = simulate(corrected, Drive.of([0.0], [9.0]), times)
-    assert stepped == pytest.approx(whole.pilot_position, abs=1e-9)
-    without = simulate(DECLARED, Drive.of([0.0], [9.0]), times)
-    assert np.max(np.abs(whole.pilot_position - without.pilot_position)) > 10e-6

@@ -15,7 +15,7 @@ from identification.recordings import TRUTH, one_opening, recorded
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.estimation.budget import Budget
 from valve_sim.identification.estimation.descent import TRIAL, Descent, SolverOptions
-from valve_sim.identification.estimation.intervals import Interval, Unbounded, covariance_interval, profile_interval
+from valve_sim.identification.estimation.intervals import Unbounded, covariance_interval, profile_interval
 from valve_sim.identification.estimation.priors import Cauchy
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.solver import fit
@@ -27,7 +27,6 @@ from valve_sim.identification.plants.protocol import (
     to_internal,
 )
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.reporting.findings import interval_json
 from valve_sim.model import CATALOGUE, DECLARED, SimulationError, Tolerances, Valve, simulate
 from valve_sim.traces import Signal, Trace
 
@@ -102,19 +101,6 @@ def test_a_jacobian_that_was_dropped_is_worked_out_again_even_when_the_work_is_u
     assert problem.budget.spent == spent
 
 
-@pytest.mark.parametrize("start", [(0.05, 20.0), (10.0, 0.3), (1.0, 4.0)])
-def test_it_arrives_from_afar(problem: Problem, start: tuple[float, float]) -> None:
-    found = fit(problem, BOTH, dict(zip(BOTH, start, strict=True)), nuisances=problem.plant.nuisances)
-    for name, truth in TRUTH.items():
-        assert abs(found.values[name] - truth) < 4.0 * found.stderr(name)
-
-
-def test_the_residual_of_the_truth_is_white(problem: Problem) -> None:
-    found = fit(problem, BOTH, {}, nuisances=problem.plant.nuisances)
-    assert found.chi2 == pytest.approx(problem.effective_samples, rel=0.05)
-    assert abs(np.corrcoef(found.residuals[1:], found.residuals[:-1])[0, 1]) < 0.03
-
-
 def test_profile_and_covariance_agree_where_the_data_hold_a_parameter(problem: Problem) -> None:
     found = fit(problem, BOTH, {}, nuisances=problem.plant.nuisances)
     for name in BOTH:
@@ -124,16 +110,6 @@ def test_profile_and_covariance_agree_where_the_data_hold_a_parameter(problem: P
         assert profile.low < TRUTH[name] < profile.high
         assert [value for value, _ in curve] == sorted(value for value, _ in curve)
         assert min(rise for _, rise in curve) == 0.0
-
-
-def test_a_bound_is_kept_and_named() -> None:
-    """A valve with less damping than the model: less friction than none would fit best."""
-    problem = Problem(ValvePlant([recorded()], EXACT_VALVE.with_values(pilot_damping=2.0, main_damping=4.5)))
-    found = fit(problem, ("coulomb_friction.force",), {}, nuisances=problem.plant.nuisances)
-    assert found.values["coulomb_friction.force"] == 0.0
-    assert found.on_bound("coulomb_friction.force") == "lower"
-    interval, _ = profile_interval(found, "coulomb_friction.force")
-    assert interval.low == 0.0 < interval.high
 
 
 def test_a_parameter_without_influence_stays_flat() -> None:
@@ -154,17 +130,6 @@ def test_a_parameter_without_influence_stays_flat() -> None:
             from_internal(DECLARED["coil_resistance"], upper),
         )
     )
-
-
-def test_a_clock_offset_is_a_nuisance_with_a_prior() -> None:
-    """Samples that are stamped 80 µs late move no damping."""
-    trace = recorded()
-    late = type(trace)(trace.source, trace.drive, trace.times + 80e-6, trace.pilot_position)
-    problem = Problem(ValvePlant([late], EXACT_VALVE))
-    found = fit(problem, BOTH, {}, nuisances=problem.plant.nuisances)
-    assert found.values["clock_offset[0]"] == pytest.approx(80e-6, abs=1e-6)
-    for name, truth in TRUTH.items():
-        assert abs(found.values[name] - truth) < 4.0 * found.stderr(name)
 
 
 def test_held_out_samples_take_no_part() -> None:
@@ -213,25 +178,6 @@ def test_derivatives_that_are_too_large_to_be_squared_are_an_error() -> None:
     problem = Problem(Steep("current", "A", Decay("current", "A").predict({"gain": 1.3})))
     with pytest.raises(SimulationError, match="derivatives are too large"):
         fit(problem, ("gain",), {})
-
-
-def test_a_parameter_that_the_data_hardly_hold_costs_no_evidence(problem: Problem) -> None:
-    """The current is not measured, so its scale moves nothing. A parabola holds 0.56 of a Cauchy density's mass."""
-    plain = fit(problem, BOTH, {}, nuisances=problem.plant.nuisances)
-    idle = fit(problem, (*BOTH, "coil_resistance"), plain.values, nuisances=problem.plant.nuisances)
-    assert idle.log_evidence == pytest.approx(plain.log_evidence, abs=0.6)
-    fixed = fit(problem, BOTH[:1], {}, nuisances=problem.plant.nuisances, fixed={"main_damping": TRUTH["main_damping"]})
-    assert fixed.log_evidence > plain.log_evidence + 2.0
-
-
-def test_infinities_become_null_in_json() -> None:
-    entry = interval_json(Interval(1.0, math.inf, 0.0, math.inf, Unbounded.FLAT_PROFILE))
-    assert entry == {
-        "value": 1.0,
-        "stderr": None,
-        "ci95": [0.0, None],
-        "remark": "the profile is flat: these data do not determine it",
-    }
 
 
 class ByQuotients(ValvePlant):
@@ -301,13 +247,3 @@ def test_where_the_plant_knows_none_difference_quotients_stand() -> None:
         found.append(search.jacobian(at, residuals(search, at))[:, lag])
     assert np.any(found[0])
     assert np.array_equal(*found)
-
-
-@pytest.mark.parametrize("valve", [EXACT_VALVE, tolerant()], ids=["exact", "tolerant"])
-def test_fitted_values_are_those_of_difference_quotients(valve: Valve) -> None:
-    trace = recorded()
-    ours = fit(Problem(ValvePlant([trace], valve)), BOTH, {}, nuisances=ValvePlant([trace], valve).nuisances)
-    theirs = fit(Problem(ByQuotients([trace], valve)), BOTH, {}, nuisances=ours.nuisances)
-    for name in BOTH:
-        assert abs(ours.values[name] - theirs.values[name]) < 0.01 * ours.stderr(name)
-        assert ours.stderr(name) == pytest.approx(theirs.stderr(name), rel=1e-3)

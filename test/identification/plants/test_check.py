@@ -34,11 +34,6 @@ class OneTooFew(Heater):
         return [super().predict(values)[0][1:]]
 
 
-class TypoInPredict(Heater):
-    def predict(self, values: Mapping[str, float]) -> Any:
-        return super().predict({**values, "zero": values["radiaton.coefficient"]} if len(values) > 1 else values)
-
-
 class Raises(Heater):
     def predict(self, values: Mapping[str, float]) -> Any:
         if "drift.rate" in values:

@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 
 from valve_sim.identification.plants.hold_out import held_out_strokes
-from valve_sim.model import Drive
-from valve_sim.traces import Trace
 
 from ..selection.linear_plant import SAMPLES, LinearPlant, measured
 
@@ -58,11 +56,3 @@ def test_a_condition_beside_ones_that_repeat_is_not_held_out() -> None:
 def test_fewer_than_four_are_all_for_training_and_without_conditions_order_decides() -> None:
     assert held([9.0, 9.0, 9.0]) == []
     assert held_out_strokes(LinearPlant(measured())) == {(0, 2), (0, 6)}
-
-
-def recorded(volts: list[float], held_for: float = 0.03) -> Trace:
-    starts = 0.01 + 0.06 * np.arange(len(volts))
-    times = np.sort(np.concatenate([starts, starts + held_for]))
-    drive = Drive.of(times, np.column_stack((volts, np.zeros(len(volts)))).ravel())
-    samples = np.arange(0.0, 0.06 * len(volts) + 0.01, 1e-3)
-    return Trace("made", drive, samples, np.zeros(len(samples)))

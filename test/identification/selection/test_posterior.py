@@ -169,24 +169,6 @@ def test_what_was_left_untried_lowers_every_probability() -> None:
     assert decide(posterior_of(MANY, best)).names == ("a",)
 
 
-def test_order_and_names_change_nothing() -> None:
-    own = table(SOME, 5.0)
-    ordered = decide(posterior_of(MANY, own, [3.0]))
-    turned = decide(posterior_of(MANY, dict(reversed(own.items())), [3.0]))
-    assert turned.kind == ordered.kind
-    assert turned.names == ordered.names
-    assert turned.probability == pytest.approx(ordered.probability, rel=1e-12)
-    new = dict(zip("abcdefgh", "zyxwvuts", strict=True))
-    renamed = {tuple(sorted(new[name] for name in names)): one for names, one in own.items()}
-    others = decide(posterior_of(Rivals(frozenset(new.values()), MANY.declared), renamed, [3.0]))
-    assert others.kind == ordered.kind
-    assert set(others.names) == {new[name] for name in ordered.names}
-    assert others.probability == pytest.approx(ordered.probability, rel=1e-12)
-    assert {new[name]: {new[one] for one in alike} for name, alike in ordered.others.items()} == {
-        name: set(alike) for name, alike in others.others.items()
-    }
-
-
 # -- look-alikes -------------------------------------------------------------------------------------------------------
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from plants.single_plunger import SINGLE_VALVE
 
 from model.flux_cases import TIMES as FLUX_TIMES
 from model.flux_cases import random_case, random_release
@@ -40,10 +41,20 @@ def random_gas(seed: int) -> tuple[Valve, Drive]:
     return replace(valve, effects=kept), Drive.of([1e-3, random.uniform(5e-3, 0.1)], [random.uniform(7.0, 14.0), 0.0])
 
 
+def one_plunger(seed: int) -> tuple[Valve, Drive]:
+    """A valve with one plunger that a pressure holds, a spring and two voltages throw back, and a slow sensor shows."""
+    effects = {
+        "pressure_force": {"force": 1.2, "equalisation_time": 4e-3}, "sensor_bandwidth": {"cutoff_frequency": 900.0},
+    }  # fmt: skip
+    valve = Valve.from_mapping({"valve": {**SINGLE_VALVE, "pilot_gap": 0.0}, "effects": effects}, "drawn")
+    return valve, Drive.of([1e-3, 26e-3], [np.random.default_rng(seed).uniform(20.0, 30.0), 0.0])
+
+
 DRAWN: Mapping[str, tuple[Callable[[int], tuple[Valve, Drive]], Any]] = {
     "random": (random_valve, TIMES),
     "flux": (random_case, FLUX_TIMES),
     "release": (random_release, FLUX_TIMES),
+    "one plunger": (one_plunger, np.linspace(0.0, 0.06, 301)),
     "gas": (random_gas, np.linspace(0.0, 0.15, 301)),
 }
 """By kind: what draws a valve and its drive from a seed, and the times of its samples."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -19,8 +17,6 @@ DOUBT = 0.1
 """Of how far the quotients of two differences are apart: the error of what is extrapolated from them."""
 FINE = 1e-12
 MANY = 20
-BELOW = Drive.of([1e-3, 16e-3], [8.5, 0.0])
-"""The current stays below u = 1, where residual magnetism has a corner."""
 
 
 def quotient(
@@ -68,38 +64,6 @@ def test_derivatives_are_those_of_central_differences(kind: str, seed: int) -> N
         for found, (quotients, doubt), size in zip(shown, expected, (1e-3, 1.0), strict=True):
             allowed = ACCURATE * max(np.abs(quotients).max(), size / abs(values[name])) + doubt
             assert (np.abs(found - quotients) < allowed)[away].all(), name
-
-
-def test_derivatives_by_commands_and_clocks() -> None:
-    times = np.linspace(2.1e-3, 30.1e-3, 57)
-    valve = Valve(CALIBRATED.parameters, {"coulomb_friction": {"force": 0.1}, "residual_magnetism": {"current": 0.2}})
-    zeros = Directions.of(valve, BELOW, ["stroke"] * 5)
-    directions = replace(
-        zeros, numbers=0.0 * zeros.numbers,
-        command_times=np.array([[1.0, 0.0], [0.0, 1.0], [0, 0], [0, 0], [0, 0]], dtype=float),
-        command_volts=np.array([[0, 0], [0, 0], [1.0, 0.0], [0.0, 1.0], [0, 0]], dtype=float),
-        sample_times=np.array([0.0, 0.0, 0.0, 0.0, 1.0]),
-    )  # fmt: skip
-    found = run_sloped(valve, BELOW, times, directions, tolerance=1e-10, with_currents=True)
-
-    def run(
-        volts: tuple[float, float] = (0.0, 0.0), moved: tuple[float, float] = (0.0, 0.0), late: float = 0.0
-    ) -> tuple[np.ndarray, np.ndarray]:
-        drive = Drive.of(BELOW.times + np.array(moved), BELOW.volts + np.array(volts))
-        response = simulate(valve, drive, times + late, tolerance=FINE, start_time=0.0)
-        return response.pilot_position, response.coil_current / 0.9
-
-    h, volt = 1e-8, 1e-5
-    quotients = [
-        [(a - b) / (2 * h) for a, b in zip(run(moved=(h, 0)), run(moved=(-h, 0)), strict=True)],
-        [(a - b) / (2 * h) for a, b in zip(run(moved=(0, h)), run(moved=(0, -h)), strict=True)],
-        [(a - b) / (2 * volt) for a, b in zip(run(volts=(volt, 0)), run(volts=(-volt, 0)), strict=True)],
-        [(a - b) / (2 * volt) for a, b in zip(run(volts=(0, volt)), run(volts=(0, -volt)), strict=True)],
-        [(a - b) / (2 * h) for a, b in zip(run(late=h), run(late=-h), strict=True)],
-    ]
-    for column, (position, current) in enumerate(quotients):
-        assert np.abs(found.of_positions[:, column] - position).max() < 2e-6 * np.abs(position).max()
-        assert np.abs(found.of_currents[:, column] - current).max() < 2e-6 * max(np.abs(current).max(), 1e-3)
 
 
 def test_a_parameter_that_the_valve_lacks_is_refused() -> None:

@@ -16,7 +16,7 @@ from valve_sim.model.live import Live
 from valve_sim.model.parameters import ValveParameters
 
 
-@pytest.mark.parametrize("kind", ["random", "flux", "release", "gas"])
+@pytest.mark.parametrize("kind", ["random", "flux", "release", "one plunger", "gas"])
 @pytest.mark.parametrize("seed", [*range(5), *(pytest.param(seed, marks=pytest.mark.long) for seed in range(5, 40))])
 def test_a_live_valve_is_the_whole_run_to_the_last_bit(kind: str, seed: int) -> None:
     valve, drive, times = drawn(kind, seed)
