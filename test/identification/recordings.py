@@ -1,4 +1,4 @@
-"""Recordings by the independent plant, as traces."""
+"""Recordings by the independent plant, as traces: one builder for all tests that want one."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
 from plants.recording import Profile, Recorder, record, single_opening, train_profile
 
+from benchmarks.campaign.declared import as_trace
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose_plant
 from valve_sim.identification.plants.protocol import Channel, EffectChoice, ForceMap
@@ -42,17 +43,15 @@ def recorded(
     recorder: Recorder = FINE,
     profile: Profile | None = None,
     seed: int = 1,
-    effects: dict[str, dict[str, float]] | None = None,
-    **parameters: float,
+    effects: Mapping[str, Mapping[str, float]] | None = None,
+    **parameters: float | tuple[float, float, float, float],
 ) -> Trace:
-    """What a plant of these parameters shows, 8 strokes unless told."""
+    """What a plant of these parameters and effects shows, 8 strokes unless told; the current, where one is recorded."""
     plant = DeclaredPlant(effects or {}, {**CAMPAIGN_VALVE, **TRUTH, **parameters})
-    made = record(plant, train_profile() if profile is None else profile, recorder, seed)
-    drive = Drive(made.command_times, made.volts)
-    return Trace(f"seed {seed}", drive, made.times, made.pilot_position, made.main_position)
+    return as_trace(record(plant, train_profile() if profile is None else profile, recorder, seed), f"seed {seed}")
 
 
-FEW = ("coulomb_friction", "stiction", "squeeze_film", "constant_force", "coil_lag", "stroke_offset")
+FEW = ("coulomb_friction", "stiction", "constant_force")
 """A catalogue that is short, and has friction and what looks like it."""
 
 

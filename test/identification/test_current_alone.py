@@ -155,7 +155,7 @@ def test_the_band_holds_the_truth_where_a_twin_stands_first() -> None:
     assert shares[0] <= shares[1]
 
 
-@pytest.mark.parametrize("resistance", [12.0, 6.0])
+@pytest.mark.parametrize("resistance", [12.0, pytest.param(6.0, marks=pytest.mark.long)])
 def test_a_strong_lag_that_held_out_data_refute_leaves_its_rivals_their_weight(resistance: float) -> None:
     """The rival explains the training data better by thousands of S: exp of half of that is no double."""
     build = Build(resistance=resistance, inductance=2e-3 * resistance, eddy_resistance=1.5 * resistance)

@@ -24,7 +24,6 @@ from valve_sim.identification.monitoring.findings import OpenedPartly, WaitsForP
 from valve_sim.identification.monitoring.segmenter import StrokeSegmenter
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.reporting.identification import identification_json, identification_text
 from valve_sim.identification.reporting.validation import validation_json, validation_text
 from valve_sim.identification.validation.replay import validate
 from valve_sim.model import Drive, ParameterError, Tolerances, Valve, simulate
@@ -139,14 +138,6 @@ def test_a_clogged_orifice_is_no_better_known_than_what_fills_the_line() -> None
     result = clogged(0.6, seed=4)
     least = 0.6 * math.hypot(2.0 * SHARES["pilot_orifice_diameter"], SHARES["outlet_volume"])
     assert 0.7 * least < result.stderr(CLOGGING) < 2.0 * least
-
-
-def test_pressure_is_reported_in_kilopascals() -> None:
-    result = identify([recorded(1)], gas_valve(pilot_orifice_diameter=0.201e-3), (ORIFICE,))
-    report = identification_json(result)
-    assert report["rmse_kpa"]["after"] == pytest.approx(1e-3 * result.rmse_after)
-    assert not any(key.endswith(("_um", "_ma")) for key in [*report, *report["noise"]])
-    assert "kPa as declared" in identification_text(result)
 
 
 def test_validate_judges_the_pressure() -> None:

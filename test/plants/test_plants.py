@@ -95,6 +95,7 @@ def test_mismatched_plant_opens_like_the_paper() -> None:
     assert run.pilot_position[-1] == pytest.approx(0.0, abs=2e-6)
 
 
+@pytest.mark.long
 def test_back_emf_dents_the_current_while_the_plunger_moves() -> None:
     run = one_stroke(MismatchedPlant())
     moving = (run.time > 7e-3) & (run.time < 11e-3)
@@ -112,7 +113,8 @@ EVENTFUL = {
 
 
 @pytest.mark.parametrize("effects", [{}, EVENTFUL])
-@pytest.mark.parametrize("plant", [MismatchedPlant, pytest.param(ReluctancePlant, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("plant", [MismatchedPlant, ReluctancePlant])
 def test_halving_the_step_of_a_plant_of_another_form_changes_nothing(
     plant: Callable[..., Plant], effects: Effects
 ) -> None:
@@ -150,6 +152,7 @@ def test_the_reluctance_plant_agrees_with_scipy_up_to_the_pick_up() -> None:
     assert run.first("picked_up") == pytest.approx(found.t[-1], abs=1e-9)
 
 
+@pytest.mark.long
 def test_the_reluctance_plant_loses_no_energy_but_in_its_dampers() -> None:
     build = WITHOUT_FRICTION._replace(sensor_cutoff=0.0)
     fine: FloatArray = np.arange(0.0, 0.012, 1e-6)
@@ -181,6 +184,7 @@ def test_the_reluctance_plant_loses_no_energy_but_in_its_dampers() -> None:
         assert work == pytest.approx(kinetic, rel=1e-5)
 
 
+@pytest.mark.long
 def test_pick_up_keeps_the_momentum_of_the_reluctance_plant() -> None:
     build = IDEAL
     fine: FloatArray = np.arange(0.0, 0.01, 1e-7)
@@ -204,6 +208,7 @@ def test_every_effect_of_a_plant_of_another_form_shows(plant: Callable[..., Plan
     assert {name: size for name, size in moved.items() if size <= 0.5e-6} == {}
 
 
+@pytest.mark.long
 def test_the_data_sheet_is_of_the_reluctance_plant_and_its_table_of_its_pull() -> None:
     build = reluctance.built(reluctance.DATA_SHEET)
     np.testing.assert_allclose(build, Build(), rtol=1e-12)
@@ -218,7 +223,12 @@ def test_the_data_sheet_is_of_the_reluctance_plant_and_its_table_of_its_pull() -
 
 
 @pytest.mark.parametrize(
-    "plant", [DeclaredPlant(), MismatchedPlant(), ReluctancePlant()], ids=["declared", "mismatched", "reluctance"]
+    "plant",
+    [
+        pytest.param(DeclaredPlant(), id="declared"),
+        pytest.param(MismatchedPlant(), id="mismatched", marks=pytest.mark.long),
+        pytest.param(ReluctancePlant(), id="reluctance", marks=pytest.mark.long),
+    ],
 )
 def test_profiles_are_what_they_say(plant: Plant) -> None:
     train = record(plant, train_profile(), Recorder(), 1).truth

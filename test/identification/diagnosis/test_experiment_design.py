@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from plants.declared import DeclaredPlant
-from plants.recording import Profile, Recorder, record, single_opening
+from plants.recording import Profile, Recorder, single_opening
 
+from identification.recordings import recorded
 from valve_sim.identification.diagnosis.experiment_design import (
     FEWEST_REPEATS,
     MOST_REPEATS,
@@ -20,7 +20,7 @@ from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Experiment
 from valve_sim.identification.plants.valve import ValvePlant, volts_at
 from valve_sim.identification.reporting.recording_profile import STROKE_LEVELS, duration_of, write_profile
-from valve_sim.model import Drive, EventKind, Valve, simulate
+from valve_sim.model import EventKind, Valve, simulate
 from valve_sim.traces import Trace
 from valve_sim.traces.synthetic import read_profile
 
@@ -30,10 +30,7 @@ FRICTION = {"coulomb_friction": {"force": 0.05}}
 
 
 def measured(profile: Profile, seed: int) -> Trace:
-    recording = record(DeclaredPlant(effects=FRICTION), profile, Recorder(), seed)
-    return Trace(
-        "plant (a)", Drive(recording.command_times, recording.volts), recording.times, recording.pilot_position
-    )
+    return recorded(Recorder(), profile, seed, FRICTION, pilot_damping=1.0, main_damping=4.0)
 
 
 def fitted(plant: ValvePlant, *effects: str) -> Fit:

@@ -6,18 +6,18 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import pytest
-from plants.declared import DeclaredPlant
-from plants.recording import Profile, Recorder, holdout_profile, record, single_opening, train_profile
+from plants.recording import Profile, Recorder, holdout_profile, single_opening, train_profile
 
+from identification.recordings import recorded
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
 from valve_sim.identification.estimation.intervals import Unbounded
 from valve_sim.identification.reporting.diagnosis_json import to_json
 from valve_sim.identification.reporting.recording_state import UNTOLD
 from valve_sim.identification.reporting.summary import recording_advice
 from valve_sim.identification.reporting.text import diagnosis_text
-from valve_sim.model import CATALOGUE, Drive, Tolerances, Valve
+from valve_sim.model import CATALOGUE, Tolerances, Valve
 from valve_sim.model.tolerances import SensorTolerances
-from valve_sim.traces import Signal, Trace
+from valve_sim.traces import Trace
 
 DECLARED = replace(
     Valve().with_values(a0=3.0336, coil_time_constant=0.9934e-3, coil_resistance=10.0),
@@ -29,10 +29,8 @@ Effects = Mapping[str, Mapping[str, float]]
 
 
 def measured(effects: Effects, profile: Profile, recorder: Recorder, seed: int) -> Trace:
-    recording = record(DeclaredPlant(effects=effects, parameters=TRUE_DAMPING), profile, recorder, seed)
-    current = None if recording.coil_current is None else Signal(recording.times, recording.coil_current)
-    drive = Drive(recording.command_times, recording.volts)
-    return Trace(f"seed {seed}", drive, recording.times, recording.pilot_position, coil_current=current)
+    """Eight strokes, or others, of a valve with these effects and dampings that nobody declared."""
+    return recorded(recorder, profile, seed, effects, **TRUE_DAMPING)
 
 
 def diagnosed(effects: Effects, seed: int, recorder: Recorder = Recorder()) -> Diagnosis:  # noqa: B008 - frozen
@@ -146,14 +144,15 @@ def test_what_has_no_name_gets_none() -> None:
 
 
 def test_what_shows_in_held_out_data_alone_is_not_nothing() -> None:
-    train = measured({}, train_profile(), Recorder(), 80)
-    held_out = measured({"coulomb_friction": {"force": 0.1}}, holdout_profile(), Recorder(), 81)
+    recorder = Recorder(sample_rate=5e3)
+    train = measured({}, train_profile(), recorder, 80)
+    held_out = measured({"coulomb_friction": {"force": 0.1}}, holdout_profile(), recorder, 81)
     diagnosis = diagnose([train], [held_out], DECLARED)
     assert diagnosis.verdict.kind == "unknown"
     assert diagnosis.unexplained is not None
     # What has no name would be told as the state of the recording.
     assert UNTOLD in diagnosis_text(diagnosis)
-    opening = measured({}, single_opening(), Recorder(), 82)
+    opening = measured({}, single_opening(), recorder, 82)
     assert diagnose([opening], [held_out], DECLARED).verdict.kind == "unknown"
 
 

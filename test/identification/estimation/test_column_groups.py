@@ -10,7 +10,6 @@ from plants.recording import Profile, Recorder, train_profile
 
 from identification.recordings import recorded
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.estimation.column_groups import group_columns
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
@@ -18,30 +17,6 @@ from valve_sim.identification.plants.protocol import Array
 from valve_sim.identification.plants.valve import ValvePlant
 
 STEP = 1e-6
-
-
-def rows(*indices: int, count: int = 12) -> np.ndarray:
-    mask = np.zeros(count, bool)
-    mask[list(indices)] = True
-    return mask
-
-
-def test_what_has_no_sample_in_common_is_gathered() -> None:
-    masks = [rows(0, 1), rows(1, 2), rows(2, 3), rows(4), np.ones(12, bool), rows()]
-    assert [group.members for group in group_columns(masks)] == [[0, 2, 3, 5], [1], [4]]
-    assert group_columns([]) == []
-
-
-def test_what_is_not_over_at_the_end_of_its_stretch_does_not_stay_apart() -> None:
-    first, second = rows(*range(6)), rows(*range(6, 12))
-    over = np.array([0.0, 5.0, 1.0, 0.0, 0.004, 0.0, 0.0, 0.0, 2.0, 3.0, 4.0, 5.0])
-    (group,), columns = group_columns([first, second]), np.zeros((12, 2))
-    assert group.part(over, columns)
-    np.testing.assert_array_equal(columns, np.column_stack([first, second]) * over[:, None])
-    lasting = over.copy()
-    lasting[4] = 0.006
-    assert not group.part(lasting, columns)
-    assert group.part(np.zeros(12), columns)
 
 
 class Counting(ValvePlant):
@@ -58,7 +33,7 @@ class Counting(ValvePlant):
 
 def refitted(profile: Profile) -> tuple[Fit, int]:
     """A fit of the clock and the stamps from its own optimum, which takes one step at most, and its number of runs."""
-    plant = Counting([recorded(Recorder(with_current=True), profile)], default_valve().exact())
+    plant = Counting([recorded(Recorder(), profile)], default_valve().exact())
     problem, nuisances = Problem(plant), (plant.nuisances[0], *plant.timing_errors)
     assert len(nuisances) == 17
     found = fit(problem, (), {}, nuisances=nuisances)

@@ -21,7 +21,7 @@ from valve_sim.identification.plants.protocol import strokes_of_plant
 from valve_sim.identification.plants.valve import ValvePlant
 
 BOTH = ("pilot_damping", "main_damping")
-COLOURED, COARSE = Recorder(colour=0.7, with_current=True), Recorder(quantisation=5e-6)
+COLOURED, COARSE = Recorder(colour=0.7), Recorder(quantisation=5e-6)
 
 
 def problem_of(recorder: Recorder) -> Problem:

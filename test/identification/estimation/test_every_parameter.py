@@ -8,18 +8,18 @@ from functools import cache
 
 import numpy as np
 import pytest
-from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
-from plants.recording import Profile, Recorder, record
+from plants.declared import CAMPAIGN_VALVE
+from plants.recording import Profile, Recorder
 
-from identification.recordings import TRUTH
+from identification.recordings import TRUTH, recorded
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.identify import Identification, identify
 from valve_sim.identification.estimation.intervals import Unbounded
 from valve_sim.identification.estimation.priors import Cauchy, LogNormal
 from valve_sim.identification.plants.protocol import perturbed, to_internal
 from valve_sim.identification.plants.valve import DAMPINGS
-from valve_sim.model import CATALOGUE, DECLARED, Drive
-from valve_sim.traces import Signal, Trace
+from valve_sim.model import CATALOGUE, DECLARED
+from valve_sim.traces import Trace
 
 BENCH = [entry for entry in CATALOGUE.values() if entry.named and entry.is_of(has_gas=False)]
 EFFECTS = [f"{entry.name}.{one.name}" for entry in BENCH for one in entry.parameters]
@@ -41,11 +41,7 @@ SEEN = 10.0
 @cache
 def recording(noise: str, profile: str = "two strokes", **changed: float) -> Trace:
     """Dampings as in `TRUTH`, the rest as declared but for what is changed."""
-    plant = DeclaredPlant({}, {**CAMPAIGN_VALVE, **TRUTH, **changed})
-    made = record(plant, PROFILES[profile], RECORDERS[noise], 1)
-    assert made.coil_current is not None
-    drive = Drive(made.command_times, made.volts)
-    return Trace(noise, drive, made.times, made.pilot_position, coil_current=Signal(made.times, made.coil_current))
+    return recorded(RECORDERS[noise], PROFILES[profile], **changed)
 
 
 def freed(trace: Trace, name: str) -> Identification:

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plants.declared import DeclaredPlant
-from plants.recording import Recorder, holdout_profile, record, train_profile
+from plants.recording import Recorder, holdout_profile, train_profile
 from plants.tolerances import SHEET_VALVE, declared_tolerances, deviated
 
+from identification.recordings import recorded
 from valve_sim.identification.diagnosis.identify import identify
 from valve_sim.identification.estimation.declared_values import out_of_tolerance
 from valve_sim.identification.estimation.findings import LacksSomething
@@ -19,8 +19,7 @@ from valve_sim.identification.plants.valve_model import ValveModel
 from valve_sim.identification.reporting.declared_values import TAKEN_AS_EXACT, declared_lines
 from valve_sim.identification.selection.prediction import HeldOut, machine_values
 from valve_sim.identification.validation.replay import validate
-from valve_sim.model import EXACT, Drive, Valve
-from valve_sim.traces import Trace
+from valve_sim.model import EXACT, Valve
 
 DEVIATIONS = {
     "pilot_mass": -0.6, "main_mass": 0.8, "spring_rate": 0.5, "spring_preload": -1.4, "coil_time_constant": 0.6,
@@ -36,16 +35,14 @@ def declared_valve(*, exact: bool) -> Valve:
     return Valve.from_mapping(content, "the data sheet")
 
 
-def recorded(profile, seed):
+def of_deviating_valve(profile, seed):
     """What a valve that is off within its tolerances did."""
-    plant = DeclaredPlant(parameters={**deviated(SHEET_VALVE, DEVIATIONS), **DAMPED})
-    found = record(plant, profile, Recorder(), seed)
-    return Trace(f"seed {seed}", Drive(found.command_times, found.volts), found.times, found.pilot_position)
+    return recorded(Recorder(), profile, seed, **{**deviated(SHEET_VALVE, DEVIATIONS), **DAMPED})
 
 
 @pytest.fixture(scope="module")
 def training():
-    return recorded(train_profile(), 5)
+    return of_deviating_valve(train_profile(), 5)
 
 
 @pytest.fixture(scope="module")
@@ -148,7 +145,7 @@ def test_a_difference_quotient_of_a_tolerance_is_accurate(training):
 
 def test_held_out_strokes_are_predicted_within_what_training_leaves_open(identified):
     """Partial strokes ask more of the gap and the attraction than full ones have shown."""
-    held = recorded(holdout_profile(), 6)
+    held = of_deviating_valve(holdout_profile(), 6)
     held_out = HeldOut(Problem(ValvePlant([held], declared_valve(exact=False))))
     found = held_out.predicted(identified.fit)
     assert found is not None

@@ -19,7 +19,13 @@ from valve_sim.identification.monitoring.command_timing import (
     scatter_levels,
 )
 from valve_sim.identification.monitoring.fault_isolation import isolate_fault
-from valve_sim.identification.monitoring.findings import DidNotOpen, StrokeRecord, StrokeState, TimingTooUncertain
+from valve_sim.identification.monitoring.findings import (
+    DidNotClose,
+    DidNotOpen,
+    StrokeRecord,
+    StrokeState,
+    TimingTooUncertain,
+)
 from valve_sim.identification.monitoring.monitor import Monitor
 from valve_sim.identification.monitoring.segmenter import CONFIRMED, StrokeSegmenter
 from valve_sim.identification.monitoring.settings import MonitorSettings
@@ -168,7 +174,7 @@ def test_a_valve_that_closes_late_is_in_time_where_samples_are_as_late(late: flo
         segmenter.measure(time, 1.23e-3 if 0.11 < time < 0.75 else 0.0, time + late * (index % 2))
         if segmenter.fault:
             break
-    assert bool(segmenter.fault) == is_said
+    assert isinstance(segmenter.fault, DidNotClose) == bool(segmenter.fault) == is_said
 
 
 def test_a_valve_that_obeys_before_its_command_comes_in_is_judged_from_its_rest_on() -> None:

@@ -23,12 +23,12 @@ FRICTION = 0.2
 
 @pytest.fixture(scope="module")
 def watched() -> tuple[Monitor, LiveValve, list[dict[str, float]]]:
-    """A monitor that has seen 30 healthy strokes after commissioning, its valve, and their scores."""
+    """A monitor that has seen 15 healthy strokes after commissioning, its valve, and their scores."""
     monitor = Monitor(EXACT_VALVE, refit=False)
     valve = LiveValve(4, HEALTHY, rate=1000.0, variation=0.1, drift=1e-6, hum=0.5e-6)
-    reports = [report for _ in range(COMMISSIONING + 31) for report in feed(monitor, valve.stroke())]
+    reports = [report for _ in range(COMMISSIONING + 16) for report in feed(monitor, valve.stroke())]
     scores = [dict(report.scores) for report in reports if report.state is StrokeState.WATCHING]
-    assert len(scores) == 30
+    assert len(scores) == 15
     return monitor, valve, scores
 
 

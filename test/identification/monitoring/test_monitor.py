@@ -13,7 +13,7 @@ from identification.live_strokes import LiveValve, feed
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.monitoring.cusum import SCORE_LIMIT, Sums, mean_run, threshold_for
 from valve_sim.identification.monitoring.fault_isolation import isolate_fault
-from valve_sim.identification.monitoring.findings import DidNotClose, DidNotOpen, StrokeState, Unusable
+from valve_sim.identification.monitoring.findings import DidNotOpen, StrokeState, Unusable
 from valve_sim.identification.monitoring.monitor import Monitor
 from valve_sim.identification.monitoring.segmenter import LEAD, StrokeSegmenter
 from valve_sim.identification.monitoring.settings import MonitorSettings
@@ -267,29 +267,6 @@ def test_a_valve_that_does_not_open_is_an_error_at_once() -> None:
     monitor.command(float(stuck.command_times[1]), 0.0)
     strokes(monitor, valve, 3)
     assert not monitor.segmenter.fault
-
-
-def test_a_valve_that_does_not_close_is_an_error() -> None:
-    segmenter, valve = StrokeSegmenter(EXACT_VALVE, MonitorSettings(patience=10e-3)), LiveValve(1, HEALTHY)
-    stroke = valve.stroke()
-    held = np.where(stroke.times > stroke.command_times[1], 1.23e-3, stroke.position)
-    commands = list(zip(stroke.command_times.tolist(), stroke.volts.tolist(), strict=True))
-    for time, position in zip(stroke.times.tolist(), held.tolist(), strict=True):
-        while commands and time >= commands[0][0]:
-            segmenter.command(*commands.pop(0))
-        segmenter.measure(time, position)
-    assert isinstance(segmenter.fault, DidNotClose)
-
-
-def test_commands_before_the_first_sample_are_reported_and_harm_nothing() -> None:
-    """Strokes are commanded while the model is still being compiled, say."""
-    monitor = Monitor(EXACT_VALVE)
-    reports = []
-    for time, volts in ((0.0, 9.0), (0.05, 0.0), (0.2, 9.0)):
-        reports += monitor.command(time, volts)
-    for time in np.arange(0.1, 0.4, 1e-3).tolist():
-        reports += monitor.measure(time, 0.0)
-    assert [report.state for report in reports] == [StrokeState.NOT_JUDGED]
 
 
 def test_a_stroke_that_does_not_begin_at_rest_is_not_judged() -> None:

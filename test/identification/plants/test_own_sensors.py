@@ -145,9 +145,13 @@ LABORATORIES = [
     EVERYTHING,
 ]
 NAMES = ["nothing", "zero", "gain", "bend", "drift", "variation", "everything"]
+EACH = [
+    pytest.param(one, id=name, marks=() if name in ("nothing", "everything") else pytest.mark.long)
+    for one, name in zip(LABORATORIES, NAMES, strict=True)
+]
 
 
-@pytest.mark.parametrize("laboratory", LABORATORIES, ids=NAMES)
+@pytest.mark.parametrize("laboratory", EACH)
 def test_errors_of_a_plant_of_ones_own_are_none_with_their_sizes_in_the_intervals(laboratory: Laboratory) -> None:
     diagnosis, deviations = diagnosed(laboratory, 1)
     assert diagnosis.verdict.kind == "none"
@@ -164,13 +168,7 @@ def test_errors_of_a_plant_of_ones_own_are_none_with_their_sizes_in_the_interval
     assert found["drift"].size == pytest.approx(laboratory.drift, rel=0.5, abs=0.01)
 
 
-@pytest.mark.parametrize(
-    "laboratory",
-    [
-        pytest.param(one, id=name, marks=() if name in ("nothing", "drift", "everything") else pytest.mark.long)
-        for one, name in zip(LABORATORIES, NAMES, strict=True)
-    ],
-)
+@pytest.mark.parametrize("laboratory", EACH)
 def test_what_such_a_plant_lacks_is_named_beside_its_errors(laboratory: Laboratory) -> None:
     diagnosis, _ = diagnosed(laboratory, 1, radiation=1e-3)
     assert (diagnosis.verdict.kind, diagnosis.verdict.effects) == ("effects", ("radiation",))
@@ -178,7 +176,7 @@ def test_what_such_a_plant_lacks_is_named_beside_its_errors(laboratory: Laborato
     assert found.low <= 1e-3 <= found.high
 
 
-@pytest.mark.parametrize("radiation", [0.0, 1e-3])
+@pytest.mark.parametrize("radiation", [0.0, pytest.param(1e-3, marks=pytest.mark.long)])
 def test_without_them_the_plant_is_said_to_lack_something_else(radiation: float) -> None:
     data, _ = recorded(EVERYTHING, 1, radiation=radiation)
     assert diagnose_plant(Lag(data, None, varies=False), None).verdict.kind == "unknown"

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
-from plants.recording import Recorder, record, train_profile
+from plants.recording import Recorder, train_profile
 
+from identification.recordings import recorded
 from valve_sim.identification.estimation.noise import estimate_noise
 from valve_sim.identification.plants.protocol import Channel
 from valve_sim.identification.plants.valve_sensors import channels_of
-from valve_sim.model import Drive
-from valve_sim.traces import Signal, Trace
+from valve_sim.traces import Signal
 
 NOISE = 1e-3
 """A."""
@@ -21,11 +21,10 @@ NOISE = 1e-3
 
 def current(recorder: Recorder, heating: float = 0.0) -> tuple[Channel, np.ndarray]:
     """The channel of a recorded current that falls by `heating` a second, and when the commands acted, s."""
-    made = record(DeclaredPlant({}, CAMPAIGN_VALVE), train_profile(), recorder, 3)
-    assert made.coil_current is not None
-    shown = made.coil_current * np.exp(-heating * made.times)
-    drive = Drive(made.command_times, made.volts)
-    trace = Trace("made", drive, made.times, made.pilot_position, coil_current=Signal(made.times, shown))
+    trace = recorded(recorder, seed=3, pilot_damping=1.0, main_damping=4.0)
+    assert trace.coil_current is not None
+    shown = trace.coil_current.values * np.exp(-heating * trace.times)
+    trace = replace(trace, coil_current=Signal(trace.times, shown))
     return channels_of(0, trace)[1], train_profile().times
 
 

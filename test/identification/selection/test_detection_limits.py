@@ -39,7 +39,7 @@ KINDS = {
     "a ratio of at most 1": Parameter("size", "1", "of it", 0.0, 1.0, 0.3, 1.0),
     "small by its prior": Parameter("size", "m", "added", -1e6, 1e6, 0.01, 0.0),
 }
-RECORDINGS, AT_TWICE = 40, 10
+RECORDINGS, AT_TWICE = 20, 10
 
 
 def plant_of(switch: Parameter, off_by: float, seed: int) -> LinearPlant:

@@ -7,12 +7,13 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
+import pytest
 
 from identification.selection.linear_plant import TIMES, LinearPlant, measured, problem_of
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Array, ForceMap
-from valve_sim.identification.selection.force_maps import competing_curves, describe, fit_maps
+from valve_sim.identification.selection.force_maps import NonparametricFit, competing_curves, describe, fit_maps
 from valve_sim.model import SimulationError
 from valve_sim.model.effects import basis
 
@@ -32,7 +33,8 @@ def a_map(variable: str, unit: str = "m") -> ForceMap:
 
 MAPS = [a_map("x"), a_map("v"), a_map("t", "s"), a_map("x, periodic"), a_map("t, periodic", "s")]
 BUMP = 3.0 * np.exp(-(((PLACES["x"] - 0.6) / 0.15) ** 2))
-WAVE = np.sin(2.0 * np.pi * 40.0 * PLACES["t"])
+CYCLES = 40.3
+WAVE = np.sin(2.0 * np.pi * CYCLES * PLACES["t"])
 
 
 def curves(values: Mapping[str, float], impossible: str = "") -> Array:
@@ -50,8 +52,10 @@ def curves(values: Mapping[str, float], impossible: str = "") -> Array:
     return total
 
 
-def found(added: Array, impossible: str = "", maps: Sequence[ForceMap] = MAPS) -> tuple[dict[str, float], list[str]]:
-    """By variable what ln p the maps of these data have, best first; and what was said to be tried."""
+def found(
+    added: Array, impossible: str = "", maps: Sequence[ForceMap] = MAPS
+) -> tuple[list[NonparametricFit], list[str]]:
+    """The maps of these data, best first, and what was said to be tried."""
     said: list[str] = []
     plant = LinearPlant(measured() + added, lambda values: curves(values, impossible), force_maps=maps)
     base = fit(problem_of(plant), ("level",), {})
@@ -59,27 +63,28 @@ def found(added: Array, impossible: str = "", maps: Sequence[ForceMap] = MAPS) -
     def say(what: str, fraction: float) -> None:
         said.append(what)
 
-    entries = fit_maps(base, competing_curves(base, say), say)
-    return {entry.choice.variable: entry.fit.log_evidence for entry in entries}, said
+    return fit_maps(base, competing_curves(base, say), say), said
 
 
 def test_maps_come_by_their_evidence_and_what_acts_is_first() -> None:
     """A curve that competes is not fitted again; waves over time are none where another map explains all."""
     maps, said = found(BUMP)
-    assert list(maps) == sorted(maps, key=lambda one: -maps[one])
-    assert next(iter(maps)) == "x"
-    assert {"x", "v", "t"} <= set(maps) and "t, periodic" not in maps
+    evidence, variables = [one.fit.log_evidence for one in maps], [one.choice.variable for one in maps]
+    assert evidence == sorted(evidence, reverse=True)
+    assert variables[0] == "x"
+    assert {"x", "v", "t"} <= set(variables) and "t, periodic" not in variables
     assert len(said) == len(set(said))
 
 
-def test_waves_over_time_are_tried_where_nothing_else_explains_them() -> None:
-    maps, _ = found(WAVE, maps=[MAPS[0], MAPS[-1]])
-    assert next(iter(maps)) == "t, periodic"
+def test_waves_over_time_are_tried_where_nothing_else_explains_them_and_their_period_is_found() -> None:
+    (best, *_), _ = found(WAVE, maps=[MAPS[0], MAPS[-1]])
+    assert best.choice.variable == "t, periodic"
+    assert best.choice.high - best.choice.low == pytest.approx(1.0 / CYCLES, rel=1e-3)
 
 
 def test_what_cannot_be_simulated_is_left_out() -> None:
-    maps, _ = found(BUMP, impossible="v")
-    assert "v" not in maps and "x" in maps
+    variables = [one.choice.variable for one in found(BUMP, impossible="v")[0]]
+    assert "v" not in variables and "x" in variables
 
 
 def test_time_is_no_curve_that_competes() -> None:

@@ -79,6 +79,7 @@ def test_a_vibration_is_found_that_throws_a_resting_plunger_off_its_seat(recorde
     assert min(abs(frequency - VIBRATION["frequency"]) for frequency in frequencies) < 0.5 / DURATION
 
 
+@pytest.mark.long
 def test_the_fits_of_a_few_periods_tell_the_true_one() -> None:
     """The periodogram alone has higher peaks elsewhere."""
     frequency = 330.0

@@ -48,7 +48,7 @@ def trained(plant: LinearPlant) -> Fit:
 
 def test_bands_hold_95_percent_of_held_out_samples_and_of_what_they_would_be_without_noise() -> None:
     with_noise, without, wider = [], [], []
-    for seed in range(400):
+    for seed in range(200):
         plant, other, truth = drawn(seed)
         found = HeldOut(problem_of(other)).predicted(trained(plant))
         assert found is not None
@@ -64,7 +64,7 @@ def test_bands_hold_95_percent_of_held_out_samples_and_of_what_they_would_be_wit
 
 def test_the_error_that_is_predicted_is_the_one_that_comes() -> None:
     ratios = []
-    for seed in range(400, 1200):
+    for seed in range(200, 700):
         plant, other, _ = drawn(seed)
         found = HeldOut(problem_of(other)).predicted(trained(plant))
         assert found is not None

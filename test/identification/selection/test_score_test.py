@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import ClassVar
 
 import numpy as np
 import pytest
 
-from identification.diagnosis.test_sound_verdicts import Decay
 from identification.selection.linear_plant import (
     COLUMNS,
     SAMPLES,
@@ -19,7 +17,6 @@ from identification.selection.linear_plant import (
     measured,
     problem_of,
 )
-from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Array, EffectChoice, Nuisance
@@ -33,27 +30,6 @@ def gain_of_refit(base: Fit, name: str) -> float:
     start = {effect.free_name(one): one.prior_scale for one in effect.parameters}
     refitted = fit(base.problem, (*base.free, *effect.free_names()), start, nuisances=base.nuisances)
     return refitted.log_evidence - base.log_evidence
-
-
-class Sloping(Decay):
-    """A decay on a slope, which is declared to be 0 within 0.02 A/s."""
-
-    SLOPE = Parameter("slope", "A/s", "added", -1e3, 1e3, 10.0 * 0.02, 0.0)
-    PARAMETERS: ClassVar = {"gain": Decay.PARAMETERS["gain"], "slope": SLOPE}
-    effects: ClassVar = {"valve.slope": EffectChoice("valve.slope", (SLOPE,), is_declared_value=True)}
-    nuisances = (Nuisance("slope", 0.02, "A/s", step=1e-4, is_of_machine=True),)
-
-    def predict(self, values: dict[str, float]) -> list[Array]:  # type: ignore[override]
-        return [super().predict(values)[0] + values.get("slope", 0.0) * (self.times % 2.0)]
-
-
-@pytest.mark.parametrize("slope", [0.0, 0.05, 0.1, -0.2])
-def test_the_gain_of_a_declared_value_is_that_of_its_refit(slope: float) -> None:
-    shown = Sloping("current", "A").predict({"gain": 1.3, "slope": slope})[0]
-    shown += np.random.default_rng(7).normal(0.0, 0.05, len(shown))
-    problem = Problem(Sloping("current", "A", [shown]))
-    base = fit(problem, ("gain",), {}, nuisances=problem.plant.nuisances)
-    assert log_gains(base)["valve.slope"] == pytest.approx(gain_of_refit(base, "valve.slope"), rel=2e-3, abs=0.1)
 
 
 # -- against least squares ---------------------------------------------------------------------------------------------
@@ -174,24 +150,6 @@ def test_a_switch_is_tried_near_off_and_at_its_scale() -> None:
     assert {abs(size) for size in seen if size} == {0.05 * 2.0, 2.0}
     assert gains["e"] == pytest.approx(0.5 * gained(COLUMNS[:, 1:2], plant), abs=10.0)
     assert gains["e"] > 100.0
-
-
-def test_a_switch_whose_off_is_not_0_is_moved_from_there_while_others_stay_off() -> None:
-    seen: list[tuple[float, float]] = []
-
-    def shown(values: Mapping[str, float]) -> Array:
-        ratio, size = values.get("e.ratio", 1.0), values.get("e.size", 0.0)
-        seen.append((round(ratio, 6), size))
-        return (ratio - 1.0) * COLUMNS[:, 1] + size * COLUMNS[:, 2]
-
-    ratio = Parameter("ratio", "1", "of it", 0.0, 1.0, 0.4, 1.0)
-    plant = LinearPlant(measured() - 0.5 * COLUMNS[:, 1], shown, effects=[EffectChoice("e", (ratio, SWITCH))])
-    base = base_of(plant)
-    move, _ = next(moves_of(base, plant.effects["e"]))
-    power, along = OrthogonalProjector(base).along(move.change)
-    log_gains(base)
-    assert set(seen) == {(1.0, 0.0), (0.98, 0.0), (1.0, 0.1), (0.6, 0.0), (1.0, 2.0)}
-    assert along**2 / power == pytest.approx(gained(COLUMNS[:, 1:2], plant), rel=1e-3)
 
 
 def test_a_range_that_ends_where_a_switch_is_off_counts_on_the_side_of_its_range() -> None:

@@ -3,31 +3,32 @@
 from __future__ import annotations
 
 import pytest
-from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
-from plants.recording import Recorder, record, train_profile
+from plants.declared import CAMPAIGN_VALVE
+from plants.recording import Recorder
 
-from benchmarks.campaign.declared import as_trace, declared_valve
-from identification.recordings import Short
+from benchmarks.campaign.declared import declared_valve
+from identification.recordings import Short, recorded
 from valve_sim.identification.diagnosis.outcome import Verdict
 from valve_sim.identification.diagnosis.run import begin
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.model import Valve
+from valve_sim.traces import Trace
 
 DECLARED = float(CAMPAIGN_VALVE["coil_time_constant"])  # type: ignore[arg-type]
 SIGMA = 0.02 * DECLARED
 LAG, WRONG = "coil_lag", "valve.coil_time_constant"
 
 
-def declared_within(**tolerances: float) -> Valve:
-    return declared_valve(CAMPAIGN_VALVE, tolerances)
+WITHIN = declared_valve(CAMPAIGN_VALVE, {"coil_time_constant": SIGMA})
+
+
+def shown(**parameters: float) -> Trace:
+    return recorded(Recorder(sample_rate=5e3), seed=5, pilot_damping=1.0, main_damping=4.0, **parameters)
 
 
 def verdict(tolerances_off: float) -> Verdict:
     """Of few effects and all declared values."""
-    truth = DeclaredPlant(parameters={**CAMPAIGN_VALVE, "coil_time_constant": DECLARED + tolerances_off * SIGMA})
-    trace = as_trace(record(truth, train_profile(), Recorder(), 5), "train")
-    valve = declared_within(coil_time_constant=SIGMA)
-    return begin(Short([trace], valve, [LAG, "drive_gain"])).name().verdict
+    trace = shown(coil_time_constant=DECLARED + tolerances_off * SIGMA)
+    return begin(Short([trace], WITHIN, [LAG, "drive_gain"])).name().verdict
 
 
 def named(found: Verdict) -> set[str]:
@@ -48,6 +49,5 @@ def test_a_value_within_its_tolerance_is_not_named(tolerances_off: float) -> Non
 
 
 def test_freed_by_hand_the_coil_time_constant_has_its_natural_range() -> None:
-    recording = record(DeclaredPlant(), train_profile(), Recorder(), 5)
-    plant = ValvePlant([as_trace(recording, "train")], declared_within(coil_time_constant=SIGMA))
+    plant = ValvePlant([shown()], WITHIN)
     assert plant.parameter("coil_time_constant").upper > 10.0 * DECLARED

@@ -5,37 +5,28 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from plants.declared import DeclaredPlant
-from plants.recording import Recorder, Recording, record, train_profile
+from plants.recording import Profile, Recorder, three_strokes
 
+from identification.recordings import recorded
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.run import diagnose
 from valve_sim.identification.reporting.validation import validation_json, validation_junit, validation_text
 from valve_sim.identification.validation.replay import Validation, validate
-from valve_sim.model import EXACT, Drive, Tolerances, ValveError
+from valve_sim.model import EXACT, Tolerances, ValveError
 from valve_sim.traces import Trace
 
 EXACT_VALVE = default_valve().exact()
 
 
-def measured(seed: int = 3, **changes: float) -> Recording:
-    """Eight strokes of the independent plant, 10 kHz, 1 µm noise."""
-    return record(DeclaredPlant(), train_profile(), Recorder(sample_rate=10e3, **changes), seed)
-
-
-def as_trace(recording: Recording) -> Trace:
-    return Trace(
-        "bench.mcap (/valve)",
-        Drive(recording.command_times, recording.volts),
-        recording.times,
-        recording.pilot_position,
-        recording.main_position,
-    )
+def measured(seed: int = 3, profile: Profile | None = None, **changes: float) -> Trace:
+    """Eight strokes of the independent plant, or others, 10 kHz, 1 µm noise."""
+    recorder = Recorder(sample_rate=10e3, **changes)
+    return recorded(recorder, profile, seed, pilot_damping=1.0, main_damping=4.0)
 
 
 @pytest.fixture(scope="module")
 def trace() -> Trace:
-    return as_trace(measured())
+    return measured()
 
 
 @pytest.fixture(scope="module")
@@ -82,17 +73,17 @@ def test_a_long_rest_does_not_hide_a_wrong_motion(trace: Trace):
 
 
 def test_clock_offset_within_its_prior_is_estimated_and_forgiven():
-    result = validate([as_trace(measured(clock_offset=-60e-6))], EXACT_VALVE)
+    result = validate([measured(clock_offset=-60e-6)], EXACT_VALVE)
     assert result.passed
     assert result.replays[0].clock_offset == pytest.approx(60e-6, abs=2e-6)
 
 
 def test_clock_offset_far_beyond_its_prior_is_not_forgiven():
-    assert not validate([as_trace(measured(clock_offset=-5e-3))], EXACT_VALVE).passed
+    assert not validate([measured(profile=three_strokes(), clock_offset=-5e-3)], EXACT_VALVE).passed
 
 
 def test_errors_of_the_stamps_within_their_prior_are_estimated_and_forgiven():
-    result = validate([as_trace(measured(command_jitter=50e-6))], EXACT_VALVE)
+    result = validate([measured(command_jitter=50e-6)], EXACT_VALVE)
     assert result.passed
     assert result.replays[0].errors.rmse == pytest.approx(1e-6, rel=0.05)
 
@@ -109,7 +100,7 @@ def test_tolerances_widen_the_band_and_move_nothing(trace: Trace, good: Validati
 
 @pytest.mark.long
 def test_the_corrected_valve_has_the_error_that_the_diagnosis_predicts_of_held_out_strokes(trace: Trace):
-    other = as_trace(measured(seed=4, clock_offset=-30e-6, command_jitter=20e-6))
+    other = measured(seed=4, clock_offset=-30e-6, command_jitter=20e-6)
     declared = replace(EXACT_VALVE, tolerances=Tolerances({"spring_preload": 0.05})).with_values(spring_preload=2.56)
     plain = [replace(entry, main_position=None) for entry in (trace, other)]
     found = diagnose(plain[:1], plain[1:], declared)
