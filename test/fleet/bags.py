@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Set
+from collections.abc import Sequence, Set
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,10 @@ import pyarrow.parquet as pq
 import pytest
 from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
 from plants.recording import BAG_START_NS, Recorder, record, train_bags, write_bag
+
+from valve_sim.fleet import run as fleet_run
+from valve_sim.fleet.units import EXAMINED, Unit
+from valve_sim.fleet.work import Examined
 
 DAY_NS = 86_400_000_000_000
 FINE = Recorder(quantisation=0.1e-6, sample_rate=10e3)
@@ -20,6 +24,18 @@ def make_bag(folder: Path, day: float = 0.0, valve: str = "/valve", seed: int = 
     plant = DeclaredPlant({"coulomb_friction": friction} if friction else {}, dict(CAMPAIGN_VALVE))
     made = record(plant, train_bags(4)[seed % 4], FINE, seed)
     return write_bag(made, folder, valve, BAG_START_NS + round(day * DAY_NS))
+
+
+def counted(monkeypatch: pytest.MonkeyPatch, state: str = EXAMINED, seconds: float = 0.0) -> list[str]:
+    """Names of the bags whose units are examined from now on, which is said to take so long and has this result."""
+    asked: list[str] = []
+
+    def instead(units: Sequence[Unit], output: Path) -> list[Examined]:
+        asked.extend(Path(unit.bag.source).name for unit in units)
+        return [Examined(unit.row(state, verdict="none", start_time=1), {}, seconds) for unit in units]
+
+    monkeypatch.setattr(fleet_run, "examine_units", instead)
+    return asked
 
 
 def assert_rows_agree(here: Path, there: Path, passing: Set[str]) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +12,13 @@ import pyarrow.parquet as pq
 import pytest
 
 from valve_sim.fleet import bag_files, results, work
-from valve_sim.fleet import run as fleet_run
 from valve_sim.fleet.results import PARTS
 from valve_sim.fleet.run import examine_fleet
 from valve_sim.fleet.sources import Bag
-from valve_sim.fleet.units import EXAMINED, Row, Unit
-from valve_sim.fleet.work import Examined
+from valve_sim.fleet.units import EXAMINED, Row
 from valve_sim.model.errors import ValveError
+
+from .bags import counted
 
 pytestmark = pytest.mark.long
 
@@ -38,15 +37,8 @@ def bags(tmp_path: Path) -> Path:
 @pytest.fixture
 def asked(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Names of the bags that are examined, which finds nothing; a first look reads their bytes and no more."""
-    found: list[str] = []
-
-    def examined(units: Sequence[Unit], output: Path) -> list[Examined]:
-        found.extend(Path(unit.bag.source).name for unit in units)
-        return [Examined(unit.row(EXAMINED, verdict="none", start_time=1), {}, 3.0) for unit in units]
-
-    monkeypatch.setattr(fleet_run, "examine_units", examined)
     monkeypatch.setattr("valve_sim.traces.list_valves", lambda place: ("/valve",))
-    return found
+    return counted(monkeypatch, seconds=3.0)
 
 
 def rows(output: Path) -> dict[str, Row]:

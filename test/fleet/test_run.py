@@ -7,7 +7,6 @@ import os
 import re
 import shutil
 from collections import Counter
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,17 +22,15 @@ from valve_sim.cli import main
 from valve_sim.files.ledger import Ledger
 from valve_sim.files.parameter_files import load_valve
 from valve_sim.fleet import columns
-from valve_sim.fleet import run as fleet_run
 from valve_sim.fleet.results import PARTS, Results
 from valve_sim.fleet.run import examine_fleet, forecast
-from valve_sim.fleet.units import Options, ParameterChoice, Row, Unit
-from valve_sim.fleet.work import Examined
+from valve_sim.fleet.units import Options, ParameterChoice, Row
 from valve_sim.model import Drive, published_times, simulate
 from valve_sim.model.errors import ValveError
 from valve_sim.traces import write_bag
 from valve_sim.traces.synthetic import Sensor, record
 
-from .bags import make_bag
+from .bags import counted, make_bag
 
 STAMPS_ERR = Recorder(quantisation=0.1e-6, command_jitter=40e-6, sample_rate=10e3)
 CONFIG = Path(__file__).parents[2] / "config"
@@ -70,18 +67,6 @@ def table(output: Path) -> list[Row]:
 
 def by_name(output: Path) -> dict[str, Row]:
     return {Path(row["source"]).name: row for row in table(output)}
-
-
-def counted(monkeypatch: pytest.MonkeyPatch, state: str = "examined") -> list[str]:
-    """Names of the bags whose units are examined from now on, which takes no time and has this result."""
-    asked: list[str] = []
-
-    def instead(units: Sequence[Unit], output: Path) -> list[Examined]:
-        asked.extend(Path(unit.bag.source).name for unit in units)
-        return [Examined(unit.row(state, verdict="none", start_time=1), {}, 0.0) for unit in units]
-
-    monkeypatch.setattr(fleet_run, "examine_units", instead)
-    return asked
 
 
 def test_every_bag_has_a_row_with_a_result_or_the_reason(examined: Path) -> None:

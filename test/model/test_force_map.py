@@ -10,8 +10,6 @@ from scipy.interpolate import BSpline
 
 from valve_sim.files.parameter_files import load_valve, save_valve
 from valve_sim.model import CATALOGUE, Drive, ParameterError, Stepper, Valve, simulate
-from valve_sim.model.core.symbols import Motion, Own
-from valve_sim.model.core.tracer import Condition, Trace, evaluate, pieces_of_curve
 from valve_sim.model.effects import FORCE_MAP_COEFFICIENTS, FORCE_MAP_VARIABLES, basis
 
 COUNT = 12
@@ -27,22 +25,6 @@ def values(variable: str, coefficients: np.ndarray, low: float, high: float) -> 
     return {name: float(value) for name, value in found.items()}  # type: ignore[arg-type]
 
 
-def force_map(x: float, v: float, u: float, t: float, variable: str) -> float:
-    """The force of a map over this variable, N, as its expression says."""
-    found = values(variable, COEFFICIENTS, LOW, HIGH)
-    trace = Trace()
-    given = {"x": x, "v": v, "u": u, "t": t, **{f"force_map.{name}": value for name, value in found.items()}}
-    at = {name: trace.number(name) for name in ("x", "v", "u", "t")}
-    never = Condition(trace.constant(-1.0))
-    m = Motion(at["x"], at["v"], at["u"], at["u"], at["t"], at["t"], trace.constant(1.0), never, never, Own())
-    own = {name: trace.number(f"force_map.{name}") for name in found}
-    force = CATALOGUE["force_map"].force
-    assert force is not None
-    node = force(m, Own(**{**own, "variable": trace.constant(found["variable"])}))
-    assert trace.curve is not None
-    return float(evaluate([node], {**given, **pieces_of_curve(trace.curve, given)})[0])
-
-
 def with_map(variable: str, coefficients: np.ndarray, low: float, high: float) -> Valve:
     found = {**values(variable, coefficients, low, high)}
     return Valve.from_mapping({**OPENS, "effects": {"force_map": found}}, "test")
@@ -55,53 +37,13 @@ def test_the_splines_add_up_to_one_and_none_is_negative() -> None:
     assert np.count_nonzero(shapes, axis=1).max() == 4
 
 
-def test_the_term_is_the_curve_of_scipys_b_splines() -> None:
+def test_the_basis_is_that_of_scipys_b_splines() -> None:
     step = (HIGH - LOW) / (COUNT - 3)
     curve = BSpline(LOW + step * np.arange(-3, COUNT + 1), COEFFICIENTS, 3)
     places = np.linspace(LOW, HIGH, 97)[:-1]
     assert basis(places, LOW, HIGH, COUNT) @ COEFFICIENTS == pytest.approx(curve(places), abs=1e-13)
-    assert [force_map(x, 0.0, 0.0, 0.0, "x") for x in places] == pytest.approx(curve(places), abs=1e-13)
-    # Its slope: no step of it, nor of its own slope, at a knot.
-    h = 1e-5
-    for derivative, tolerance in ((1, 1e-8), (2, 1e-4)):
-        for knot in LOW + step * np.arange(1, COUNT - 3):
-            here = [force_map(knot + offset * h, 0.0, 0.0, 0.0, "x") for offset in (-1, 0, 1)]
-            quotient = (here[2] - here[0]) / (2 * h) if derivative == 1 else (here[2] - 2 * here[1] + here[0]) / h**2
-            assert quotient == pytest.approx(float(curve(knot, derivative)), abs=tolerance * 1e3)
-
-
-@pytest.mark.parametrize(
-    ("variable", "place", "factor"),
-    [
-        ("x", (0.2, 0.5, 0.7, 0.1), 1.0),
-        ("v", (0.5, 0.2, 0.7, 0.1), -0.2),
-        ("t", (0.5, 0.1, 0.7, 0.2), 1.0),
-        ("x·v", (0.2, 0.5, 0.7, 0.1), -0.5),
-        ("x·u²", (0.2, 0.5, 0.7, 0.1), 0.7**2),
-        ("t·v", (0.1, 0.5, 0.7, 0.2), -0.5),
-    ],
-)
-def test_each_variable_has_its_factor(variable: str, place: tuple[float, ...], factor: float) -> None:
-    expected = factor * float((basis(np.array([0.2]), LOW, HIGH, COUNT) @ COEFFICIENTS)[0])
-    assert force_map(*place, variable) == pytest.approx(expected, abs=1e-14)
-
-
-@pytest.mark.parametrize("place", [-3.3, 0.0, 0.31, 7.9])
-def test_a_periodic_curve_repeats_itself_without_a_seam(place: float) -> None:
-    repeated = "x, periodic"
-    here, again = (force_map(place + shift, 0.0, 0.0, 0.0, repeated) for shift in (0.0, HIGH - LOW))
-    assert here == pytest.approx(again, abs=1e-12)
-    expected = basis(np.array([place]), LOW, HIGH, COUNT, periodic=True) @ COEFFICIENTS
-    assert here == pytest.approx(float(expected[0]), abs=1e-12)
-    before, after = (force_map(HIGH + side, 0.0, 0.0, 0.0, repeated) for side in (-1e-7, 1e-7))
-    assert before == pytest.approx(after, abs=1e-5)
-
-
-def test_beyond_the_data_the_curve_is_constant() -> None:
-    first, last = (force_map(x, 0.0, 0.0, 0.0, "x") for x in (LOW, HIGH))
-    assert force_map(LOW - 5.0, 0.0, 0.0, 0.0, "x") == first
-    assert force_map(HIGH + 5.0, 0.0, 0.0, 0.0, "x") == pytest.approx(last, abs=1e-15)
-    assert first != pytest.approx(last)
+    repeated = basis(np.array([LOW, HIGH, LOW + 0.1, HIGH + 0.1]), LOW, HIGH, COUNT, periodic=True) @ COEFFICIENTS
+    assert repeated[::2] == pytest.approx(repeated[1::2], abs=1e-12), "a periodic curve has no seam"
 
 
 def test_where_velocity_takes_part_energy_is_only_taken_out() -> None:

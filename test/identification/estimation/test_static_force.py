@@ -87,18 +87,6 @@ def test_the_file_keeps_the_covariance_and_the_other_tolerances(tmp_path: Path):
     assert static_force_json(found)["attraction_covariance"] == [value for row in matrix for value in row]
 
 
-def test_residual_is_the_noise(tmp_path: Path):
-    found = fit_static_force(table(tmp_path, points=2000), default_valve())
-    assert found.rmse == pytest.approx(NOISE, rel=0.05)
-    assert static_force_json(found)["samples"] == 2000
-
-
-def test_force_at_another_voltage_is_scaled_to_the_reference(tmp_path: Path):
-    found = fit_static_force(table(tmp_path, scale=4.0), default_valve(), voltage=18.0)
-    assert found.valve.parameters.attraction_polynomial[0] == pytest.approx(TRUTH[0], abs=0.05)
-    assert np.max(np.abs(found.force - found.predicted)) < 5 * NOISE
-
-
 def test_constant_term_is_said_to_start_the_motion(tmp_path: Path):
     result = fit_static_force(table(tmp_path), default_valve())
     (start,) = result.findings
@@ -141,23 +129,6 @@ def test_degree_two_leaves_the_cubic_term_out(tmp_path: Path):
     found = fit_static_force(table(tmp_path), default_valve(), degree=2)
     assert found.valve.parameters.attraction_polynomial[3] == 0.0
     assert found.rmse > 5 * NOISE
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "0 0.1\n0.0005 6.1\n0.001 9.5\n0.0011 11\n0.0012 13\n0.00122 14\n",
-        "x;f\n0;0,1\n0,0005;6,1\n0,001;9,5\n0,0011;11\n0,0012;13\n0,00122;14\n",
-        "# stage 3\nforce,note,displacement\n0.1,-,0\n6.1,,0.0005\n9.5,,0.001\n11,,0.0011\n13,,0.0012\n14,,0.00122\n",
-    ],
-    ids=["blanks", "decimal commas", "named columns"],
-)
-def test_tables_as_people_export_them_are_read(tmp_path: Path, text: str):
-    path = tmp_path / "force.csv"
-    path.write_text(text)
-    found = fit_static_force(path, default_valve())
-    assert found.displacement.tolist() == [0, 0.0005, 0.001, 0.0011, 0.0012, 0.00122]
-    assert found.force.tolist() == [0.1, 6.1, 9.5, 11, 13, 14]
 
 
 @pytest.mark.parametrize(

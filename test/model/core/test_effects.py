@@ -13,6 +13,7 @@ from model.random_valves import RANGES
 from valve_sim.model import CATALOGUE, Effect, Valve, simulate
 from valve_sim.model.core.symbols import Motion, Own
 from valve_sim.model.core.tracer import Node, exp, maximum, sin
+from valve_sim.model.effects import FORCE_MAP_VARIABLES, basis
 from valve_sim.model.errors import ParameterError
 from valve_sim.model.parameters import Parameter
 from valve_sim.model.runs import Directions, run_sloped
@@ -111,28 +112,26 @@ def test_the_sizes_of_the_random_valves_are_of_the_catalogue() -> None:
 MAP = {"low": 1e-4, "high": 1.1e-3, "coefficients": [0.3, -0.2, 0.4, 0.1, -0.3, 0.2, 0.35, -0.1]}
 
 
-@pytest.mark.parametrize(
-    ("variable", "low", "high"), [(0, 1e-4, 1.1e-3), (1, -0.3, 0.3), (2, 2e-3, 2e-2), (4, 1e-4, 1.1e-3)]
-)
-def test_a_force_map_is_its_spline_and_stops_at_its_knots(variable: int, low: float, high: float) -> None:
-    from scipy.interpolate import BSpline
-
-    mapping = {**MAP, "low": low, "high": high, "variable": variable}
-    if variable == 1:
+@pytest.mark.parametrize("variable", FORCE_MAP_VARIABLES)
+def test_a_force_map_is_its_spline_times_its_factor_and_stops_at_its_knots(variable: str) -> None:
+    """Beyond its range a curve is constant, or repeats itself."""
+    low, high = {"v": (-0.3, 0.3), "t": (2e-3, 2e-2)}.get(variable.partition(",")[0].partition("·")[0], (1e-4, 1.1e-3))
+    mapping = {**MAP, "low": low, "high": high, "variable": FORCE_MAP_VARIABLES.index(variable)}
+    if "v" in variable:
         mapping["coefficients"] = [abs(c) for c in MAP["coefficients"]]  # type: ignore[attr-defined]
     valve = Valve.from_mapping(
         {"valve": CALIBRATED.parameters._asdict(), "effects": {"force_map": mapping}}, "map.yaml"
     )
     c = np.array(mapping["coefficients"])
-    h = (high - low) / (len(c) - 3)
-    curve = BSpline(low + h * np.arange(-3, len(c) + 1), c, 3)
     times = np.arange(1, 3000) * 1e-5
     response = simulate(valve, STROKE, times)
     exact = simulate(valve, STROKE, times, tolerance=1e-13)
     assert response.pilot_position == pytest.approx(exact.pilot_position, abs=2e-12)
     x, v = exact.pilot_position, exact.pilot_velocity
-    place = np.clip({0: x, 1: v, 2: times, 4: x}[variable], low, high)
-    force = curve(place) * {0: 1.0, 1: -v, 2: 1.0, 4: (exact.coil_current / 0.9) ** 2}[variable]
+    place = {"x": x, "v": v, "t": times}[variable[0]]
+    curve = basis(place, low, high, len(c), periodic="periodic" in variable) @ c
+    factor = -v if "v" in variable else (exact.coil_current / 0.9) ** 2 if "u²" in variable else 1.0
+    force = curve * factor
     p = valve.parameters
     away = np.abs(times[:, None] - np.array([event.time for event in exact.events])).min(axis=1) > 4e-5
     for phase, mass, rest in ((1, p.pilot_mass, 0.0 * x), (3, p.moving_mass, p.spring_preload + p.spring_rate * x)):
