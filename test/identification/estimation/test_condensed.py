@@ -58,15 +58,6 @@ def test_a_fit_to_few_rows_ends_where_one_to_all_samples_does(problem: Problem) 
     np.testing.assert_allclose(few.jacobian, every.jacobian, atol=1e-3 * float(np.max(np.abs(every.jacobian))))
 
 
-def test_a_fit_to_few_rows_is_gone_on_with(problem: Problem) -> None:
-    few, afar = problem.condensed(), {"pilot_damping": 0.05, "main_damping": 20.0}
-    whole = fit(few, BOTH, afar)
-    begun = fit(few, BOTH, afar, effort=SolverOptions(most=2))
-    assert not begun.converged
-    on = fit(few, BOTH, begun, effort=SolverOptions(made=2))
-    assert on.chi2 == pytest.approx(whole.chi2, rel=1e-12)
-
-
 def test_what_settles_is_read_at_the_middle_of_short_blocks() -> None:
     """A slow sensor still moves where the plunger has come to rest: 800 Hz, 0.2 ms."""
     problem = problem_of(FINE)

@@ -65,11 +65,3 @@ def drawn(kind: str, seed: int) -> tuple[Valve, Drive, np.ndarray]:
     draw, times = DRAWN[kind]
     valve, drive = draw(seed)
     return Valve(valve.parameters, valve.effects, valve.gas), drive, times
-
-
-def with_value(valve: Valve, name: str, value: float) -> Valve:
-    """The same valve with one parameter replaced, "pilot_damping" or "effect.parameter"."""
-    if "." not in name:
-        return valve.with_values(**{name: value})
-    effect, parameter = name.split(".")
-    return replace(valve, effects={**valve.effects, effect: {**valve.effects[effect], parameter: value}})

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from model.core.cases import CALIBRATED, STROKE, drawn, with_value
+from model.core.cases import CALIBRATED, STROKE, drawn
+from model.derivatives import Case
 from valve_sim.model import Valve, simulate
-from valve_sim.model.drives import Drive
 from valve_sim.model.errors import ParameterError
 from valve_sim.model.runs import Directions, run_sloped
 
@@ -15,29 +15,20 @@ ACCURATE = 1e-7
 """Of the largest derivative, or of a stroke for a parameter as large again: how far one may be off the quotient."""
 DOUBT = 0.1
 """Of how far the quotients of two differences are apart: the error of what is extrapolated from them."""
-FINE = 1e-12
 MANY = 20
 
 
-def quotient(
-    valve: Valve, drive: Drive, times: np.ndarray, name: str, value: float
-) -> list[tuple[np.ndarray, np.ndarray]] | None:
+def quotient(case: Case, name: str, value: float) -> list[tuple[np.ndarray, np.ndarray]] | None:
     """Derivatives of positions and of normalised currents by central differences, each with its own error.
 
     None where events change.
     """
     found = []
-    for share in (1e-5, 5e-6):
-        ends = [with_value(valve, name, value * (1.0 + sign * share)) for sign in (1.0, -1.0)]
-        above, below = (simulate(end, drive, times, tolerance=FINE) for end in ends)
-        if [event.kind for event in above.events] != [event.kind for event in below.events]:
+    for step in (1e-5 * value, 5e-6 * value):
+        above, below = (case.moved(name, by).shown() for by in (step, -step))
+        if [event.kind for event in above[2]] != [event.kind for event in below[2]]:
             return None
-        rated = [end.parameters.coil_resistance / end.parameters.reference_voltage for end in ends]
-        by = 2.0 * share * value
-        found.append((
-            (above.pilot_position - below.pilot_position) / by,
-            (above.coil_current * rated[0] - below.coil_current * rated[1]) / by,
-        ))  # fmt: skip
+        found.append([(above[of] - below[of]) / (2.0 * step) for of in (0, 1)])
     return [((4.0 * fine - rough) / 3.0, DOUBT * np.abs(fine - rough)) for rough, fine in zip(*found, strict=True)]
 
 
@@ -57,7 +48,7 @@ def test_derivatives_are_those_of_central_differences(kind: str, seed: int) -> N
     edges = np.array([*(event.time for event in base.events), *drive.times])
     away = np.abs(times[:, None] - edges[None, :]).min(axis=1) > 2e-6
     for column, name in enumerate(names):
-        expected = quotient(valve, drive, times, name, values[name])
+        expected = quotient(Case(valve, drive, times), name, values[name])
         if expected is None:
             continue
         shown = (sloped.of_positions[:, column], sloped.of_currents[:, column])
