@@ -9,7 +9,8 @@ import yaml
 from scipy.integrate import solve_ivp
 
 from valve_sim.files.plant_files import plant_from
-from valve_sim.identification.diagnosis.own_plant import identify_plant, validate_plant
+from valve_sim.identification.diagnosis.identify import identify_plant
+from valve_sim.identification.diagnosis.own_plant import validate_plant
 from valve_sim.identification.diagnosis.run import diagnose_plant
 from valve_sim.identification.plants.own import OwnPlant, quiet_samples
 from valve_sim.identification.plants.protocol import Direction

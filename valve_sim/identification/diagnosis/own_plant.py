@@ -1,18 +1,16 @@
-"""Refit and check a plant of a user's own equations."""
+"""Check a plant of a user's own equations, and how its inputs are joined between samples."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from valve_sim.identification.diagnosis.identify import Progress, best_of_starts, starts_about_declared
 from valve_sim.identification.estimation.descent import SolverOptions
 from valve_sim.identification.estimation.gram import gram, sum_squares
-from valve_sim.identification.estimation.intervals import Interval, profile_interval
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
@@ -20,107 +18,13 @@ from valve_sim.identification.plants.check import check_plant
 from valve_sim.identification.plants.own import OwnPlant
 from valve_sim.identification.plants.protocol import Array, Direction, primary_channels
 from valve_sim.identification.plants.root_mean_square import root_mean_square
-from valve_sim.model.errors import ParameterError, SimulationError
-from valve_sim.model.parameters import closest
+from valve_sim.model.errors import SimulationError
 from valve_sim.traces.columns import Columns
 
 DECISIVE: Final = 0.5
 """Of the squared error, below which another convention between samples is said to fit better."""
 TIMES_PREDICTED: Final = 3.0
 """Standard deviations that are predicted, within which a recording is by default."""
-
-
-@dataclass(frozen=True)
-class OutputError:
-    """How far off one output of one recording is, SI.
-
-    Attributes:
-        channel: its name. unit: its SI unit. before: rms of measured less declared; after: less refitted. noise: of the
-            sensor, standard deviation.
-    """
-
-    channel: str
-    unit: str
-    before: float
-    after: float
-    noise: float
-
-
-@dataclass(frozen=True)
-class PlantIdentification:
-    """A refitted plant: the fit, intervals of what was freed, errors by output, and what was freed in vain."""
-
-    fit: Fit
-    intervals: Mapping[str, Interval]
-    errors: tuple[OutputError, ...]
-
-    @property
-    def plant(self) -> OwnPlant:
-        """The refitted parameters."""
-        plant = self.fit.problem.plant
-        assert isinstance(plant, OwnPlant)
-        return plant
-
-
-def identify_plant(
-    plant: OwnPlant, free: Sequence[str] | None = None, progress: Progress | None = None
-) -> PlantIdentification:
-    """Refit parameters of a plant to its recordings.
-
-    Args:
-        plant: with its recordings. free: parameters, or `<effect>.<parameter>`; default: those declared `free`.
-        progress: told what is being done, and the fraction done.
-
-    Raises:
-        ParameterError: a name that cannot be freed, or none.
-        SimulationError: the declared plant cannot be simulated.
-    """
-    say = progress or (lambda what, fraction: None)
-    names = tuple(plant.base if free is None else free)
-    _check_free(plant, names)
-    check_plant(plant)
-    say("fit", 0.0)
-    problem = Problem(plant)
-    found = best_of_starts(problem, names, plant.nuisances, starts_about_declared(plant, names))
-    if any(noise.samples == 0 for noise in problem.noises.values()):
-        problem = problem.with_noise_left_by(found.values)
-        found = fit(problem, names, found.values, nuisances=plant.nuisances)
-    intervals = {}
-    for index, name in enumerate(names):
-        say(f"interval of {name}", 0.4 + 0.6 * index / len(names))
-        intervals[name] = profile_interval(found, name)[0]
-    own = {nuisance.name: found.values[nuisance.name] for nuisance in found.nuisances if not nuisance.is_of_machine}
-    return PlantIdentification(found, intervals, _errors(found, own))
-
-
-def _errors(found: Fit, declared: Mapping[str, float]) -> tuple[OutputError, ...]:
-    plant = found.problem.plant
-    before, after = plant.predict(declared), plant.predict(found.values)
-    return tuple(
-        OutputError(
-            channel.name, channel.unit, _rms(channel.kept(channel.data - before[index])),
-            _rms(channel.kept(channel.data - after[index])), found.problem.noise_of(index).sigma,
-        )
-        for index, channel in enumerate(plant.channels)
-    )  # fmt: skip
-
-
-def _rms(left: Array) -> float:
-    return root_mean_square(left) if len(left) else math.nan
-
-
-def _check_free(plant: OwnPlant, names: Sequence[str]) -> None:
-    known = [*plant.file.parameters]
-    known += [f"{name}.{own}" for name, effect in plant.file.effects.items() for own in effect.parameters]
-    if not names:
-        raise ParameterError(
-            f"{plant.file.path}: frees nothing; write free: true beside a parameter, or give --free NAME"
-        )
-    for name in names:
-        if name not in known:
-            raise ParameterError(
-                f"{name}: cannot be freed, {plant.file.path} has no such name; did you mean {closest(name, known)}?"
-            )
 
 
 @dataclass(frozen=True)
@@ -167,7 +71,7 @@ def better_conventions(found: Fit) -> tuple[OtherConvention, ...]:
         shown = other.predict(again.values)
         if _squared(problem, shown) < DECISIVE * before:
             channel, was = plant.channels[first], plant.predict(found.values)[first]
-            errors = [_rms(channel.kept(channel.data - one)) for one in (was, shown[first])]
+            errors = [root_mean_square(channel.kept(channel.data - one)) for one in (was, shown[first])]
             better.append(OtherConvention(name, held[0], errors[0], errors[1], channel.unit))
     return tuple(better)
 
