@@ -8,16 +8,12 @@ from typing import TYPE_CHECKING
 
 import click
 
-from valve_sim.cli.printing import print_json, print_report, refuse, shown
+from valve_sim.cli.printing import print_json, refuse, shown
 from valve_sim.cli.reading import chosen_map_file
-from valve_sim.files.ledger import plan_files
 
 if TYPE_CHECKING:
     from valve_sim.identification.estimation.result import Fit
     from valve_sim.identification.plants.own import OwnPlant
-
-OUTSIDE = 1
-"""Exit code where a recording is outside the tolerance."""
 
 
 def is_own(plant: Path | None) -> bool:
@@ -72,7 +68,7 @@ def read_plant(plant: Path, logs: Sequence[Path]) -> OwnPlant:
 
 def say_better_conventions(found: Fit) -> None:
     """Say on stderr which inputs the data contradict that they are held, or straight, between samples."""
-    from valve_sim.identification.diagnosis.own_plant import better_conventions
+    from valve_sim.identification.diagnosis.conventions import better_conventions
     from valve_sim.identification.reporting.units import quantity
 
     for own in better_conventions(found):
@@ -85,28 +81,6 @@ def say_better_conventions(found: Fit) -> None:
             ),
             err=True,
         )
-
-
-def validate_own(
-    plant: Path, logs: Sequence[Path], tolerance: float | None, junit: Path | None, *, as_json: bool
-) -> int:
-    """`validate --plant`: the exit code."""
-    from valve_sim.files.whole_files import refuse_unwritable, write_whole
-    from valve_sim.identification.diagnosis.own_plant import validate_plant
-    from valve_sim.identification.reporting.own_plant import (
-        plant_validation_json,
-        plant_validation_junit,
-        plant_validation_text,
-    )
-
-    planned = [path for path in (junit,) if path]
-    plan_files(*planned)
-    refuse_unwritable(*planned)
-    result = validate_plant(read_plant(plant, logs), tolerance)
-    if junit is not None:
-        write_whole(junit, shown(plant_validation_junit(result)))
-    print_report(plant_validation_json(result), plant_validation_text(result), planned, as_json)
-    return 0 if result.passed else OUTSIDE
 
 
 def simulate_own(
