@@ -81,6 +81,8 @@ def test_every_parameter_gets_an_honest_interval(name: str, profile: str, noise:
     found, parameter = result.intervals[name], result.fit.problem.plant.parameter(name)
     assert parameter.lower <= found.low <= found.value <= found.high
     assert math.isfinite(found.high) or (parameter.off is not None and math.isinf(parameter.off))
+    effect, dot, _ = name.partition(".")
+    assert not dot or set(result.valve.effects[effect]) == set(CATALOGUE[effect].names), "a file needs all of them"
     seen, is_flat = change(result, name), found.unbounded is Unbounded.FLAT_PROFILE
     if seen == 0.0:
         assert is_flat
