@@ -49,25 +49,12 @@ def shown_by(get: Callable[[str], float]) -> list[float]:
 
 
 @pytest.mark.parametrize("name", valves())
-def test_it_shows_what_simulate_shows_at_any_steps(name: str) -> None:
+def test_it_shows_what_simulate_shows_at_any_steps_however_often_a_master_steps_back(name: str) -> None:
     valve = valves()[name]
-    steps, time, shown = CoSimulatedValve(valve), 0.0, []
-    ends = random_ends(np.random.default_rng(3), 3e-4)
-    for end in ends:
-        if time in TIMES:
-            steps.set("coil_voltage", VOLTS[TIMES.index(time)])
-        steps.step(time, end - time)
-        time = float(end)
-        shown.append(shown_by(steps.get))
-    np.testing.assert_allclose(shown, expected(valve, ends), rtol=0.0, atol=1e-12 * MILLIMETRE)
-
-
-def test_a_master_steps_back_as_often_as_it_likes() -> None:
-    valve = valves()["late and bouncing"]
     random = np.random.default_rng(4)
     steps = CoSimulatedValve(valve)
     time, place, shown = 0.0, 0, []
-    ends = random_ends(random, 1e-4)
+    ends = random_ends(random, 3e-4)
     while place < len(ends):
         if time in TIMES:
             steps.set("coil_voltage", VOLTS[TIMES.index(time)])
