@@ -143,8 +143,8 @@ def test_of_a_valve_no_posterior_is_wider_than_its_prior() -> None:
 
 
 def test_a_declared_effect_of_no_size_changes_nothing() -> None:
-    few = ["quadratic_drag", "coulomb_friction"]
-    trace = recorded(Recorder(sample_rate=2e3), effects={"quadratic_drag": {"coefficient": 1.0}})
+    few = ["quadratic_drag", "drive_gain", "coulomb_friction"]
+    trace = recorded(Recorder(sample_rate=5e3), effects={"quadratic_drag": {"coefficient": 1.0}})
     without = Short([trace], DECLARED, few)
     with_it = Short([trace], replace(DECLARED, effects={"coulomb_friction": {"force": 0.0}}), few)
     first, second = (fit(Problem(plant), plant.base, {}, nuisances=plant.nuisances) for plant in (without, with_it))
