@@ -15,7 +15,8 @@ from pathlib import Path
 
 from benchmarks.common import parser, resident
 from valve_sim.station.figures import Report, utc
-from valve_sim.station.opcua_server import ServedValve, Settings, StationServer
+from valve_sim.station.opcua_server import ServedValve, StationServer
+from valve_sim.station.tables import OpcUaSettings
 
 PORT = 48499
 RATE = 135.0
@@ -29,7 +30,8 @@ def used() -> float:
 
 async def serve(folder: Path, writes: int) -> None:
     """Serve one valve: many writes, then a steady rate of them until the parent has done its part."""
-    server = StationServer(Settings(folder, "127.0.0.1", PORT, allows_anonymous=True), [ServedValve("/valve")])
+    settings = OpcUaSettings(folder=str(folder), address="127.0.0.1", port=PORT, anonymous_read=True)
+    server = StationServer(settings, [ServedValve("/valve")])
     await server.start()
     for part in range(5):
         begin = time.perf_counter()

@@ -9,8 +9,7 @@ from typing import Any
 
 import pytest
 
-from valve_sim.files.parameter_files import default_valve
-from valve_sim.nodes.valve_parameters import table
+from valve_sim.nodes.valve_parameters import ValveSettings
 
 from .ros_process import Probe, piped
 
@@ -32,7 +31,7 @@ from std_msgs.msg import String  # noqa: E402
 BAG = Path(__file__).parents[2] / "bags" / "one_opening.mcap"
 
 
-ENTRIES = table(default_valve())
+ENTRIES = ValveSettings.table()
 
 
 @pytest.fixture(scope="module", autouse=True)

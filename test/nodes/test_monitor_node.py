@@ -315,12 +315,6 @@ def test_its_parameters_are_dumped_as_a_file_of_the_same_valve(ros: None, tmp_pa
     assert load_valve(dump(values, tmp_path / "dump.yaml", "/monitor")) == declared
 
 
-def test_the_former_name_of_the_watched_node_counts_and_is_warned_of(ros: None, probe: Probe, tmp_path: Path) -> None:
-    with running(tmp_path, ["--ros-args", "-p", "valve:=/tank_1/valve"], "monitor_node") as process:
-        assert probe.until(lambda: "hears /tank_1/valve/coil_voltage" in process.output)
-        assert "parameter valve is called valve_node now" in process.output
-
-
 @pytest.mark.any_distribution
 def test_an_expired_calibration_is_a_warning_and_another_declared_value_goes_to_its_journal(
     probe: Probe, tmp_path: Path

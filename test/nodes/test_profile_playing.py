@@ -14,7 +14,6 @@ from valve_sim.nodes.profile_playing import (
     as_csv,
     checked_profile,
     play,
-    profile_settings,
 )
 from valve_sim.nodes.realtime import NANOSECONDS, ClockReading
 from valve_sim.traces.synthetic import read_profile
@@ -31,7 +30,7 @@ class HandClock:
         self.jump: int | None = None
 
     def read(self) -> ClockReading | None:
-        return ClockReading(self.now, True)
+        return ClockReading(self.now, False)
 
     def sleep_until(self, deadline: int) -> None:
         self.now = deadline + self.late if self.jump is None else self.now + self.jump
@@ -103,4 +102,4 @@ def test_a_profile_that_may_not_be_commanded_is_refused_in_one_line(tmp_path: Pa
 )
 def test_parameters_that_cannot_be_used_are_refused(given: dict[str, object], words: str) -> None:
     with pytest.raises(ParameterError, match=words):
-        profile_settings(given, {})
+        ProfileSettings.read(given, {})

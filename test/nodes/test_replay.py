@@ -25,7 +25,7 @@ from valve_sim.nodes.identification_work import (
     timeline,
 )
 from valve_sim.nodes.realtime import ClockReading
-from valve_sim.nodes.settings import IdentificationSettings, identification_settings
+from valve_sim.nodes.settings import IdentificationSettings
 from valve_sim.traces import Signal, Trace, write_bag
 
 TIMES = np.arange(40) / 1e3
@@ -171,7 +171,7 @@ def test_a_recording_of_the_current_alone_is_replayed_and_fitted(tmp_path: Path)
 
 def test_settings_have_defaults_and_take_integers_and_texts() -> None:
     given: dict[str, Any] = {"bag": "a.mcap", "rate": 2, "free": "a0, main_damping,a0", "loop": True}
-    assert identification_settings(given, {}) == IdentificationSettings(
+    assert IdentificationSettings.read(given, {}) == IdentificationSettings(
         "a.mcap", free=("a0", "main_damping"), rate=2.0, loop=True
     )
 
@@ -194,7 +194,7 @@ def test_settings_have_defaults_and_take_integers_and_texts() -> None:
 )
 def test_wrong_settings_are_refused_in_one_line(given: dict[str, object], says: str) -> None:
     with pytest.raises(ParameterError, match=says) as caught:
-        identification_settings(given, {"rate": "file.yaml"})
+        IdentificationSettings.read(given, {"rate": "file.yaml"})
     assert "\n" not in str(caught.value)
     assert ("file.yaml: rate" in str(caught.value)) == ("rate" in given)
 

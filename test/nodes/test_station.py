@@ -10,7 +10,7 @@ import pytest
 
 from valve_sim.files.parameter_files import load_valve
 from valve_sim.nodes.starting import read_files
-from valve_sim.station.tables import DispenserSettings, dispenser_settings
+from valve_sim.station.tables import DispenserSettings
 
 from .clockwork import Clockwork
 from .launch_plan import IfElseSubstitution, LaunchConfiguration, LaunchPlan, read_launch_file
@@ -46,7 +46,7 @@ def test_with_gas_there_is_a_dispenser_for_the_valves_that_are_started(plan: Lau
     (node_of_line,) = [node for node in started if node.executable == "dispenser_node"]
     ((_, section),) = read_files(["", "--ros-args", "--params-file", str(node_of_line.file({}))])
     assert section.applies_to(node_of_line.full_name)
-    settings = dispenser_settings(section.values, {})
+    settings = DispenserSettings.read(section.values, {})
     assert settings == DispenserSettings(), "the file says what the code assumes"
     valves = [node for node in started if node.executable == "valve_node"]
     assert [f"/{name}" for name in settings.valves] == [node.full_name for node in valves]

@@ -9,11 +9,10 @@ from typing import Any
 
 import pytest
 
-from valve_sim.files.parameter_files import default_valve
 from valve_sim.nodes import profile_playing, settings, topics
 from valve_sim.nodes.parameters import Table
 from valve_sim.nodes.topics import Topic
-from valve_sim.nodes.valve_parameters import table
+from valve_sim.nodes.valve_parameters import ValveSettings
 from valve_sim.station import tables as station
 
 from .ros_process import Probe, running
@@ -86,26 +85,32 @@ def check_parameters(probe: Probe, entries: Table) -> None:
 
 
 CASES: dict[str, tuple[str, Sequence[Topic], Table, Sequence[str], Sequence[str]]] = {
-    "valve_node": ("valve", (*topics.VALVE, *topics.GAS), table(default_valve()), ["/valve"], ["--params-file", GAS]),
-    "monitor_node": ("monitor", BESIDE_MEASURED, settings.monitor_table(), ["/valve"], ["--params-file", GAS]),
+    "valve_node": ("valve", (*topics.VALVE, *topics.GAS), ValveSettings.table(), ["/valve"], ["--params-file", GAS]),
+    "monitor_node": (
+        "monitor",
+        BESIDE_MEASURED,
+        settings.MonitorNodeSettings.table(),
+        ["/valve"],
+        ["--params-file", GAS],
+    ),
     "identification_node": (
         "identification",
         topics.IDENTIFICATION,
-        settings.IDENTIFICATION,
+        settings.IdentificationSettings.table(),
         ["/valve"],
         ["-p", f"bag:={ROOT / 'bags' / 'one_opening.mcap'}", "-p", "linger:=true"],
     ),
     "command_profile": (
         "command_profile",
         topics.PROFILE,
-        profile_playing.PROFILE,
+        profile_playing.ProfileSettings.table(),
         ["/valve"],
         ["-p", "patience:=600.0"],
     ),
     "dispenser_node": (
         "dispenser",
         station.DISPENSER_TOPICS,
-        station.DISPENSER,
+        station.DispenserSettings.table(),
         [f"/tank_{k}/valve" for k in (1, 2, 3)],
         [],
     ),

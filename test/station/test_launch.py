@@ -12,11 +12,11 @@ from nodes.launch_plan import LaunchConfiguration, read_launch_file
 from valve_sim.files.parameter_sections import read_sections
 from valve_sim.model import ParameterError
 from valve_sim.nodes.starting import read_files
-from valve_sim.station.tables import archive_settings, opcua_settings, plc_settings
+from valve_sim.station.tables import ArchiveSettings, OpcUaSettings, PlcSettings
 
 LAUNCH = Path(__file__).parents[2] / "launch"
 PLAN = read_launch_file(LAUNCH / "station.launch.py")
-CHECKED = {"opcua": opcua_settings, "plc": plc_settings, "archive": archive_settings}
+CHECKED = {"opcua": OpcUaSettings, "plc": PlcSettings, "archive": ArchiveSettings}
 
 
 @pytest.mark.parametrize("name", CHECKED)
@@ -31,7 +31,7 @@ def test_a_node_is_started_where_it_is_asked_for_with_all_valves(name: str, tmp_
     file.write_text(yaml.dump({node.full_name: {"ros__parameters": evaluated}}, default_flow_style=False))
     assert "!!python/tuple" in file.read_text()
     (section,) = read_sections(file)
-    settings: Any = CHECKED[name](section.values, {})
+    settings: Any = CHECKED[name].read(section.values, {})
     assert settings.valves == ("tank_1/valve", "tank_2/valve", "tank_3/valve")
     if hasattr(settings, "monitors"):
         assert settings.monitors == ("tank_1/monitor", "tank_2/monitor", "tank_3/monitor")

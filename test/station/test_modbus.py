@@ -20,7 +20,8 @@ from pymodbus.server import ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
 from valve_sim.model import ValveError
-from valve_sim.station.modbus import ModbusThread, PlcClient, PlcServer
+from valve_sim.station.loop_thread import LoopThread
+from valve_sim.station.modbus import PlcClient, PlcServer
 from valve_sim.station.plc import COMMANDS, STATUS, PlcStation
 
 Cycle = Callable[[int, int], list[int]]
@@ -41,7 +42,7 @@ class Served:
         self.port = free_port()
         self.station = PlcStation(("valve",), watchdog=0.5, changed=self._obey)
         self._obey(0)
-        self.thread = ModbusThread(PlcServer(self.station, "127.0.0.1", self.port, clock=lambda: self.now))
+        self.thread = LoopThread("modbus", PlcServer(self.station, "127.0.0.1", self.port, clock=lambda: self.now))
         self.thread.start()
 
     def _obey(self, valve: int) -> None:
@@ -185,7 +186,7 @@ def test_broken_frames_and_floods_change_nothing_and_leave_the_server_serving(se
 
 
 def test_a_port_that_is_taken_is_one_line(served: Served) -> None:
-    other = ModbusThread(PlcServer(served.station, "127.0.0.1", served.port))
+    other = LoopThread("modbus", PlcServer(served.station, "127.0.0.1", served.port))
     with pytest.raises(ValveError, match="cannot be listened on"):
         other.start()
 

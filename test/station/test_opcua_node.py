@@ -6,6 +6,7 @@ import asyncio
 import json
 import signal
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -15,19 +16,19 @@ from nodes.ros_process import ENDS_WITHIN, Probe, own_lines, piped
 
 from valve_sim.model import ParameterError
 from valve_sim.nodes.starting import Extra
-from valve_sim.station.tables import OpcUaSettings, opcua_settings
+from valve_sim.station.tables import OpcUaSettings
 
 from .test_figures import FINDING, STROKE, SUMMARY
 
 
 def test_settings_are_checked_in_one_line() -> None:
-    assert opcua_settings({}, {}) == OpcUaSettings()
-    two = opcua_settings({"valves": ["a", "b"], "monitors": ["c", "d"]}, {})
+    assert OpcUaSettings.read({}, {}) == OpcUaSettings()
+    two = OpcUaSettings.read({"valves": ["a", "b"], "monitors": ["c", "d"]}, {})
     assert two.serial_numbers == ("", "")
     one_known = {"valves": ["a", "b"], "monitors": ["c", "d"], "serial_numbers": ["", "SN-7"]}
-    assert opcua_settings(one_known, {}).serial_numbers == ("", "SN-7"), "that of one valve may be unknown"
-    dumped = {name: list(value) if isinstance(value, tuple) else value for name, value in two._asdict().items()}
-    assert opcua_settings(dumped, {}) == two, "what `ros2 param dump` writes can be given back"
+    assert OpcUaSettings.read(one_known, {}).serial_numbers == ("", "SN-7"), "that of one valve may be unknown"
+    dumped = {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(two).items()}
+    assert OpcUaSettings.read(dumped, {}) == two, "what `ros2 param dump` writes can be given back"
     for given, words in (
         ({"valves": ["a", "b"]}, "monitors: found 1, expected 2, one for each of valves"),
         ({"port": 70000}, "command line: port: found 70000, expected a number from 1 to 65535"),
@@ -37,7 +38,7 @@ def test_settings_are_checked_in_one_line() -> None:
         ({"folders": ""}, "did you mean folder?"),
     ):
         with pytest.raises(ParameterError) as refused:
-            opcua_settings(given, {})
+            OpcUaSettings.read(given, {})
         assert words in str(refused.value)
 
 

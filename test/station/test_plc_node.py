@@ -10,11 +10,11 @@ import pytest
 from nodes.ros_process import ENDS_WITHIN, Probe, own_lines, piped
 
 from valve_sim.model import ParameterError
-from valve_sim.station.tables import PlcSettings, plc_settings
+from valve_sim.station.tables import PlcSettings
 
 
 def test_settings_are_checked_in_one_line() -> None:
-    assert plc_settings({}, {}) == PlcSettings()
+    assert PlcSettings.read({}, {}) == PlcSettings()
     for given, words in (
         ({"watchdog": 0.0}, "command line: watchdog: found 0.0, expected a number from 0.01 to 60 s"),
         ({"port": 1.5}, "command line: port: found 1.5, expected a whole number"),
@@ -24,7 +24,7 @@ def test_settings_are_checked_in_one_line() -> None:
         ({"adress": "x"}, "did you mean address?"),
     ):
         with pytest.raises(ParameterError) as refused:
-            plc_settings(given, {})
+            PlcSettings.read(given, {})
         assert words in str(refused.value)
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import threading
 from collections import Counter, deque
-from collections.abc import Callable, Container
+from collections.abc import Callable, Container, Iterator, Sequence
 from typing import Any, Final, NamedTuple, Protocol
 
 from valve_sim.nodes.threads import Fail, StoppableThread
@@ -301,6 +301,43 @@ def why_restart(last: ClockReading | None, now: ClockReading) -> str | None:
         return None
     seconds = abs(moved) / NANOSECONDS
     return f"the clock jumped back by {seconds:g} s" if moved < 0 else f"the clock jumped ahead by {seconds:g} s"
+
+
+class ClockJumpedError(Exception):
+    """The clock by which something is played can no longer be followed; the message says why."""
+
+
+def when_due(clock: PaceClock, offsets: Sequence[int], is_stopped: Callable[[], bool]) -> Iterator[tuple[int, int]]:
+    """The index of each deadline once it has come, and how late that is, ns; nothing is left out.
+
+    Simulated time moves by ticks: by it a deadline is late by what the clock has gone on since the tick was seen.
+
+    Args:
+        clock: is followed. offsets: ns after the first reading of it, ascending. is_stopped: whether to end early.
+
+    Raises:
+        ClockJumpedError: the clock jumped or was exchanged.
+    """
+    last, start, index = None, 0, 0
+    while index < len(offsets):
+        reading = clock.read()
+        if is_stopped():
+            return
+        if reading is None:
+            clock.sleep_until(0)
+            continue
+        if last is None:
+            start = reading.nanoseconds
+        elif reason := why_restart(last, reading):
+            raise ClockJumpedError(reason)
+        last = reading
+        while index < len(offsets) and start + offsets[index] <= reading.nanoseconds and not is_stopped():
+            now = clock.read() or reading
+            since = reading.nanoseconds if reading.is_simulated else start + offsets[index]
+            yield index, now.nanoseconds - since
+            index += 1
+        if index < len(offsets):
+            clock.sleep_until(start + offsets[index])
 
 
 class Decimator:

@@ -15,7 +15,7 @@ import tempfile
 import textwrap
 import threading
 import traceback
-from collections.abc import Callable, Iterator, MutableMapping, Sequence
+from collections.abc import Callable, MutableMapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import FrameType
@@ -143,10 +143,9 @@ def run_node(name: str, place: str, args: Sequence[str] | None, usage: str = "",
         return 0
     signals = _Signals()
     try:
-        with _ends_quietly():
-            given = read_files(arguments)
-            _ensure_log_folder(name)
-            offer_profile(os.environ, Path.cwd(), installed_rclpy())
+        given = read_files(arguments)
+        _ensure_log_folder(name)
+        offer_profile(os.environ, Path.cwd(), installed_rclpy())
         rclpy_init(arguments)
         node = None if signals.have_come else _made(place, given, needs)
     except ValveError as error:
@@ -307,21 +306,6 @@ class _Signals:
 def _on_signals(action: signal.Handlers | Callable[[int, FrameType | None], None]) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, action)
-
-
-@contextlib.contextmanager
-def _ends_quietly() -> Iterator[None]:
-    """Until ROS takes the signals over, they end the program with code 0 too."""
-
-    def end(number: int, frame: FrameType | None) -> NoReturn:
-        raise SystemExit(0)
-
-    before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _ensure_log_folder(name: str) -> None:
