@@ -12,15 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from .ros_process import ASK_AGAIN, ENDS_WITHIN, PATIENCE, Probe, own_lines, piped, running, slowness
+from nodes.ros import BatteryState, Bool, Float64, rclpy
+
+from .ros_process import ASK_AGAIN, ENDS_WITHIN, PATIENCE, Diagnostics, Probe, own_lines, piped, running, slowness
 
 pytestmark = pytest.mark.ros
-pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
 
-import rclpy  # noqa: E402
-from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
-from sensor_msgs.msg import BatteryState  # noqa: E402
-from std_msgs.msg import Bool, Float64  # noqa: E402
 
 STROKES = "[[0.1, 9.0], [0.4, 0.0], [0.7, 12.0], [1.0, 0.0]]"
 ENDLESS = "[[0.1, 9.0], [900.0, 0.0]]"
@@ -63,14 +60,14 @@ def stamps_of(heard: list[Any]) -> list[int]:
 
 def test_all_is_commanded_in_time_and_written_down(valve: Probe, tmp_path: Path) -> None:
     # A program that is done sooner than this test's ears are found is not heard; a machine that is held up is late.
-    diagnostics = valve.hear("/diagnostics", DiagnosticArray)
+    diagnostics = Diagnostics(valve)
     for number in range(TRIES):
         folder = tmp_path / str(number)
         folder.mkdir()
         volts, log = hear_all(valve)
-        diagnostics.clear()
-        assert valve.until(lambda: strokes_of(diagnostics)), "no diagnostics"
-        before, strokes = slowness(), strokes_of(diagnostics)[-1]
+        diagnostics.heard.clear()
+        assert valve.until(lambda: diagnostics.all("valve")), "no diagnostics"
+        before, strokes = slowness(), int(diagnostics.values("valve")["strokes"])
         with commanding(folder, STROKES, patience=PATIENCE) as process:
             code, said = ended(process)
         assert code == 0, said
@@ -79,7 +76,9 @@ def test_all_is_commanded_in_time_and_written_down(valve: Probe, tmp_path: Path)
         table = np.genfromtxt(folder / "commanded.csv", delimiter=",", names=True, dtype=None)
         assert table["volts"].tolist() == COMMANDED
         # A valve that is held up for all of it gets its commands at once, and stays closed.
-        is_obeyed = valve.until(lambda strokes=strokes: strokes_of(diagnostics)[-1] == strokes + 2, ASK_AGAIN)
+        is_obeyed = valve.until(
+            lambda strokes=strokes: int(diagnostics.values("valve")["strokes"]) == strokes + 2, ASK_AGAIN
+        )
         lateness = np.max(np.abs(table["time"] - [0.0, 0.3, 0.6, 0.9])) / max(before, slowness())
         if valve.until(lambda log=log: len(log) == 4, ASK_AGAIN) and is_obeyed and lateness < LATE:
             break
@@ -95,12 +94,6 @@ def hear_all(valve: Probe) -> tuple[list[Any], list[Any]]:
     """What is commanded from now on, and the log of it."""
     volts = valve.hear("coil_voltage", Float64)
     return volts, valve.hear("/command_profile/commanded", BatteryState, latched=True)
-
-
-def strokes_of(diagnostics: list[Any]) -> list[int]:
-    """How often the valve had opened in all, each time that it said so."""
-    statuses = [status for message in diagnostics for status in message.status if status.name == "valve: valve"]
-    return [int(pair.value) for status in statuses for pair in status.values if pair.key == "strokes"]
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -165,11 +158,6 @@ def test_a_voltage_beyond_the_guard_commands_nothing(valve: Probe, tmp_path: Pat
 
 
 def test_the_valve_holds_no_voltage_after_all_of_this(valve: Probe) -> None:
-    heard = valve.hear("/diagnostics", DiagnosticArray)
-
-    def voltages() -> list[str]:
-        statuses = [status for message in heard for status in message.status if status.name == "valve: command"]
-        return [pair.value for status in statuses for pair in status.values if pair.key == "voltage (V)"]
-
-    assert valve.until(voltages), "no diagnostics"
-    assert voltages()[0] == "0"
+    heard = Diagnostics(valve)
+    assert valve.until(lambda: heard.all("command")), "no diagnostics"
+    assert heard.values("command")["voltage (V)"] == "0"

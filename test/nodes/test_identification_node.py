@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from nodes.ros import Float64, JointState, String, Trigger
 from valve_sim.files.parameter_files import default_valve, load_valve
 from valve_sim.files.parameter_sections import read_sections
 from valve_sim.files.resources import config_path
@@ -24,25 +25,13 @@ from valve_sim.identification.reporting.recording_profile import STROKE_LEVELS
 from valve_sim.traces import read_trace
 from valve_sim.traces.synthetic import read_profile
 
-from .ros_process import ENDS_WITHIN, PATIENCE, Probe, cpu_seconds_to_end, piped, running
+from .ros_process import ENDS_WITHIN, PATIENCE, Diagnostics, Probe, cpu_seconds_to_end, piped, running
 
-pytestmark = pytest.mark.ros
-pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
+pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("ros")]
+TARGET = "/identification"
 
-import rclpy  # noqa: E402
-from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
-from sensor_msgs.msg import JointState  # noqa: E402
-from std_msgs.msg import Float64, String  # noqa: E402
-from std_srvs.srv import Trigger  # noqa: E402
 
 MAKER = Path(__file__).resolve().parents[2] / "bags" / "make_samples.py"
-
-
-@pytest.fixture(scope="module", autouse=True)
-def ros(in_own_domain: None) -> Iterator[None]:
-    rclpy.init()
-    yield
-    rclpy.try_shutdown()
 
 
 @pytest.fixture(scope="module")
@@ -51,13 +40,6 @@ def samples(in_own_domain: None, tmp_path_factory: pytest.TempPathFactory) -> Pa
     folder = tmp_path_factory.mktemp("samples")
     subprocess.run([sys.executable, str(MAKER), "--folder", str(folder), "--live"], check=True, timeout=ENDS_WITHIN)
     return folder
-
-
-@pytest.fixture
-def probe(ros: None) -> Iterator[Probe]:
-    probe = Probe("/identification")
-    yield probe
-    probe.close()
 
 
 @pytest.fixture(scope="module")
@@ -141,14 +123,14 @@ def test_it_ends_when_the_recording_is_played_and_the_result_is_known(samples: P
 def test_a_node_that_is_not_there_is_said_not_to_have_taken_the_result(
     samples: Path, probe: Probe, tmp_path: Path
 ) -> None:
-    results, heard = probe.hear("result", String, latched=True), probe.hear("/diagnostics", DiagnosticArray)
+    results, heard = probe.hear("result", String, latched=True), Diagnostics(probe)
     bag = samples / "one_opening.mcap"
     with identifying(tmp_path, bag=bag, apply_to="/nobody", rate=0, linger="true") as process:
         assert probe.until(lambda: results), "no result"
         applied = json.loads(results[0].data)["applied"]
         assert not applied["is_set"]
         assert applied["node"] == "/nobody"
-        assert probe.until(lambda: b"\x02" in levels(heard, "identification"))
+        assert probe.until(lambda: heard.is_said("identification", 2))
         process.send_signal(signal.SIGINT)
         assert process.wait(ENDS_WITHIN) == 1
 
@@ -209,21 +191,16 @@ def test_what_was_set_all_the_same_can_be_undone(probe: Probe, live: Probe, tmp_
     assert {"valve.main_damping", "effects.coulomb_friction.force", "tolerances"} <= section.values.keys()
 
 
-def levels(heard: list[Any], task: str) -> list[bytes]:
-    name = f"identification: {task}"
-    return [status.level for message in heard for status in message.status if status.name == name]
-
-
 def test_the_replay_is_the_recording_beside_the_model(samples: Path, probe: Probe, tmp_path: Path) -> None:
     bag = samples / "one_opening.mcap"
     trace = read_trace(bag)
     measured, predicted = ByStamp(probe, "measured/joint_states"), ByStamp(probe, "predicted/joint_states")
     residuals, volts = probe.hear("residual", Float64), probe.hear("coil_voltage", Float64)
-    heard = probe.hear("/diagnostics", DiagnosticArray)
+    heard = Diagnostics(probe)
     stamps = {trace.epoch_ns + round(time * 1e9) for time in trace.times.tolist()}
     with identifying(tmp_path, bag=bag, rate=0.05, loop="true") as process:
         assert probe.until(lambda: measured.messages.keys() == predicted.messages.keys() == stamps)
-        assert probe.until(lambda: volts and b"\x00" in levels(heard, "replay"))
+        assert probe.until(lambda: volts and heard.is_said("replay", 0))
         process.send_signal(signal.SIGTERM)
         assert process.wait(ENDS_WITHIN) == 0
     positions = measured.positions()
@@ -251,24 +228,19 @@ class ByStamp:
 @pytest.mark.any_distribution
 def test_a_diagnosis_is_published_too(samples: Path, probe: Probe, tmp_path: Path) -> None:
     results = probe.hear("result", String, latched=True)
-    heard = probe.hear("/diagnostics", DiagnosticArray)
+    heard = Diagnostics(probe)
     profile = tmp_path / "record_next.yaml"
     bag = samples / "one_opening.mcap"
     # It declares friction that this valve has not: one stroke cannot tell that from a constant force.
     given: dict[str, object] = {"params": config_path("tank_2.yaml"), "mode": "diagnose", "budget": 4.0}
     with identifying(tmp_path, bag=bag, rate=0, linger="true", **given):
         assert probe.until(lambda: results, 3 * PATIENCE), "no result"
-        assert probe.until(lambda: is_said(f"and {profile} for what to record next", heard))
+        assert probe.until(lambda: heard.is_said("identification", 0, f"and {profile} for what to record next"))
     report = json.loads(results[0].data)
     assert report["schema"] == "valve_sim/diagnosis/2"
     assert load_valve(tmp_path / "corrected.yaml").parameters.stroke == 1.23e-3
     assert report["record_next"], "one stroke tells nothing apart"
     assert set(volts_at(default_valve(), STROKE_LEVELS)) <= set(read_profile(profile).volts)
-
-
-def is_said(words: str, heard: list[Any]) -> bool:
-    """Whether diagnostics say so."""
-    return any(words in status.message for message in heard for status in message.status)
 
 
 def test_a_signal_ends_it_at_work_with_code_0(samples: Path, probe: Probe, tmp_path: Path) -> None:

@@ -16,41 +16,22 @@ import numpy as np
 import pytest
 from identification.live_strokes import LiveValve
 
+from nodes.ros import DiagnosticArray, Float64, JointState, String, Trigger
 from valve_sim.files.parameter_files import load_valve
 from valve_sim.records.calibration import load_changes, save_record
 
 from .dumps import TOLERATED, dump
 from .plant_on_topics import PlantOnTopics
-from .ros_process import ENDS_WITHIN, PATIENCE, Probe, piped, running
+from .ros_process import ENDS_WITHIN, PATIENCE, Diagnostics, Probe, piped, running
 from .test_calibration_watch import signed
 
-pytestmark = pytest.mark.ros
-pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
+pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("ros")]
 
-import rclpy  # noqa: E402
-from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
-from sensor_msgs.msg import JointState  # noqa: E402
-from std_msgs.msg import Float64, String  # noqa: E402
-from std_srvs.srv import Trigger  # noqa: E402
 
 FEW = 8
 """Commissioning strokes, the fewest that are allowed."""
 EXACT: dict[str, object] = {"valve.pilot_mass": 0.109}
 """One declared value, as it is shipped: the others are then exact, and there is less to estimate."""
-
-
-@pytest.fixture(scope="module", autouse=True)
-def ros(in_own_domain: None) -> Iterator[None]:
-    rclpy.init()
-    yield
-    rclpy.try_shutdown()
-
-
-@pytest.fixture
-def probe(ros: None) -> Iterator[Probe]:
-    probe = Probe("/valve")
-    yield probe
-    probe.close()
 
 
 def monitoring(folder: Path, **parameters: object) -> contextlib.AbstractContextManager[subprocess.Popen[str]]:
@@ -66,26 +47,13 @@ class Ears:
         self.probe = probe
         self.reports = probe.hear("/monitor/stroke_report", String)
         self.findings = probe.hear("/monitor/finding", DiagnosticArray, latched=True)
-        self.diagnostics = probe.hear("/diagnostics", DiagnosticArray)
+        self.diagnostics = Diagnostics(probe, "monitor")
+        self.is_said = self.diagnostics.is_said
         self.voltage = probe.talker("coil_voltage", Float64)
-
-    def is_said(self, task: str, level: int, words: str = "") -> bool:
-        """Whether a status of this task has had this level and words."""
-        return any(
-            status.level == bytes([level]) and words in status.message
-            for message in self.diagnostics
-            for status in message.status
-            if status.name == f"monitor: {task}"
-        )
-
-    def speaks(self) -> bool:
-        """Whether the monitor itself has said something: a valve beside it has its own diagnostics."""
-        return any(status.name == "monitor: input" for message in self.diagnostics for status in message.status)
 
     def input_counts(self) -> tuple[int, int]:
         """How many samples were taken and how many rejected, as was said last."""
-        said = [s for message in self.diagnostics for s in message.status if s.name == "monitor: input"]
-        values = {pair.key: pair.value for pair in said[-1].values}
+        values = self.diagnostics.values("input")
         return int(values["samples"]), int(values["rejected"])
 
     def ready(self) -> None:

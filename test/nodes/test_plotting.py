@@ -6,7 +6,7 @@ import math
 import re
 import signal
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +15,13 @@ from identification.live_strokes import LiveValve
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from nodes.ros import DiagnosticArray
+
 from .plant_on_topics import PlantOnTopics
 from .ros_process import ENDS_WITHIN, Probe, piped
 
 pytestmark = pytest.mark.ros
-pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
 
-import rclpy  # noqa: E402
-from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 
 TOPIC = "/monitor/stroke_diagnostics"
 TREE = f"{TOPIC}/monitor/monitor: stroke"
@@ -72,15 +71,6 @@ def series_of(bag: Path) -> dict[str, list[Point]]:
             for name, point in plotted(connection.topic, TYPES.deserialize_cdr(data, connection.msgtype)).items():
                 found[name].append(point)
     return found
-
-
-@pytest.fixture
-def probe(in_own_domain: None) -> Iterator[Probe]:
-    rclpy.init()
-    probe = Probe("/valve")
-    yield probe
-    probe.close()
-    rclpy.try_shutdown()
 
 
 def test_every_figure_of_a_stroke_is_a_series(probe: Probe, tmp_path: Path) -> None:

@@ -9,32 +9,27 @@ from typing import Any
 
 import pytest
 
+from nodes.ros import (
+    Float64,
+    Parameter,
+    QoSProfile,
+    ReliabilityPolicy,
+    SingleThreadedExecutor,
+    Subscription,
+    UInt8,
+    rclpy,
+)
+from valve_sim.nodes.node_clock import NodeClock
+from valve_sim.nodes.realtime import Arrival
+from valve_sim.nodes.receiving import MOST_STORED, Inbox
+
 from .ros_process import ENDS_WITHIN, Probe
 
 pytestmark = pytest.mark.ros
-pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
+TARGET = "/heard"
 
-import rclpy  # noqa: E402
-from rclpy.executors import SingleThreadedExecutor  # noqa: E402
-from rclpy.parameter import Parameter  # noqa: E402
-from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
-from rclpy.subscription import Subscription  # noqa: E402
-from std_msgs.msg import Float64, UInt8  # noqa: E402
-
-from valve_sim.nodes.node_clock import NodeClock  # noqa: E402
-from valve_sim.nodes.realtime import Arrival  # noqa: E402
-from valve_sim.nodes.receiving import MOST_STORED, Inbox  # noqa: E402
 
 RELIABLE = QoSProfile(depth=1000)
-
-
-@pytest.fixture
-def probe(in_own_domain: None) -> Iterator[Probe]:
-    rclpy.init()
-    probe = Probe("/heard")
-    yield probe
-    probe.close()
-    rclpy.try_shutdown()
 
 
 class Hearing:

@@ -169,36 +169,6 @@ def test_a_recording_of_the_current_alone_is_replayed_and_fitted(tmp_path: Path)
     assert outcome.valve.parameters.main_damping == pytest.approx(5.0, abs=0.6)
 
 
-def test_settings_have_defaults_and_take_integers_and_texts() -> None:
-    given: dict[str, Any] = {"bag": "a.mcap", "rate": 2, "free": "a0, main_damping,a0", "loop": True}
-    assert IdentificationSettings.read(given, {}) == IdentificationSettings(
-        "a.mcap", free=("a0", "main_damping"), rate=2.0, loop=True
-    )
-
-
-@pytest.mark.parametrize(
-    ("given", "says"),
-    [
-        ({}, "bag: not given"),
-        ({"bag": 3}, "expected text"),
-        ({"bag": "a", "rate": -1.0}, "at least 0"),
-        ({"bag": "a", "rate": True}, "expected a number"),
-        ({"bag": "a", "loop": "yes"}, "true or false"),
-        ({"bag": "a", "mode": "guess"}, "identify or diagnose"),
-        ({"bag": "a", "free": "pilot_dampin"}, "pilot_damping"),
-        ({"bag": "a", "free": [1, 2]}, "list of names"),
-        ({"bag": "a", "free": ","}, "at least one"),
-        ({"bag": "a", "rat": 1.0}, "did you mean rate"),
-        ({"bag": "a", "valve.pilot_mass": 0.1}, "parameter params instead"),
-    ],
-)
-def test_wrong_settings_are_refused_in_one_line(given: dict[str, object], says: str) -> None:
-    with pytest.raises(ParameterError, match=says) as caught:
-        IdentificationSettings.read(given, {"rate": "file.yaml"})
-    assert "\n" not in str(caught.value)
-    assert ("file.yaml: rate" in str(caught.value)) == ("rate" in given)
-
-
 def test_a_task_says_how_far_it_is_and_how_it_ended() -> None:
     seen: list[Any] = []
     task = Task(lambda progress: (progress("fit", 0.5), seen.append(task.status))[0] or "found", _keep(seen))

@@ -11,14 +11,12 @@ from typing import IO
 
 import pytest
 
-from .ros_process import ENDS_WITHIN, PATIENCE, Probe, piped, running
+from nodes.ros import Bool, Float64, rclpy
+
+from .ros_process import ENDS_WITHIN, PATIENCE, Diagnostics, Probe, piped, running
 
 pytestmark = pytest.mark.ros
-pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
 
-import rclpy  # noqa: E402
-from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
-from std_msgs.msg import Bool, Float64  # noqa: E402
 
 SEQUENCER = Path(__file__).parents[2] / "docs" / "examples" / "sequencer.py"
 TANKS = ("tank_1", "tank_2", "tank_3")
@@ -30,8 +28,7 @@ class Tank:
     def __init__(self, name: str) -> None:
         self.probe = Probe(f"/{name}/valve")
         self.is_open = self.probe.hear("is_open", Bool, latched=True)
-        self._status = f"{name}/valve: command"
-        self._diagnostics = self.probe.hear("/diagnostics", DiagnosticArray)
+        self._diagnostics = Diagnostics(self.probe)
 
     def openings(self) -> int:
         return sum(message.data for message in self.is_open)
@@ -39,13 +36,8 @@ class Tank:
     def is_without_voltage(self) -> bool:
         """What it says from now on."""
         now = self.probe.node.get_clock().now().nanoseconds
-        assert self.probe.until(lambda: self._voltages(now)), "no diagnostics"
-        return self._voltages(now) == ["0"]
-
-    def _voltages(self, since: int) -> list[str]:
-        fresh = [m for m in self._diagnostics if m.header.stamp.sec * 10**9 + m.header.stamp.nanosec > since]
-        statuses = [status for message in fresh for status in message.status if status.name == self._status]
-        return [pair.value for status in statuses for pair in status.values if pair.key == "voltage (V)"]
+        assert self.probe.until(lambda: self._diagnostics.all("command", now)), "no diagnostics"
+        return self._diagnostics.values("command")["voltage (V)"] == "0"
 
 
 @pytest.fixture(scope="module")

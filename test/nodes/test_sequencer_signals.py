@@ -5,20 +5,17 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from nodes.ros import Bool, DurabilityPolicy, Float64, QoSProfile
+
 from .ros_process import PATIENCE, Probe
 
 pytestmark = pytest.mark.ros
-pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
 
-import rclpy  # noqa: E402
-from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
-from std_msgs.msg import Bool, Float64  # noqa: E402
 
 HERE = Path(__file__).parent
 SEQUENCER = HERE.parents[1] / "docs" / "examples" / "sequencer.py"
@@ -39,15 +36,6 @@ class QuickValve:
         if message.data != (self.voltages[-1] if self.voltages else 0.0):
             self._is_open.publish(Bool(data=message.data > 0.0))
         self.voltages.append(message.data)
-
-
-@pytest.fixture
-def probe(in_own_domain: None) -> Iterator[Probe]:
-    rclpy.init()
-    probe = Probe()
-    yield probe
-    probe.close()
-    rclpy.try_shutdown()
 
 
 @pytest.mark.parametrize("runs", [3, pytest.param(12, marks=pytest.mark.long)])

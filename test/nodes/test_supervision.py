@@ -8,31 +8,19 @@ import shlex
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from nodes.ros import Bool, DiagnosticArray, Float64, UInt8
+
 from .ros_process import Probe, running
 
 pytestmark = pytest.mark.ros
-pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
 
-import rclpy  # noqa: E402
-from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
-from std_msgs.msg import Bool, Float64, UInt8  # noqa: E402
 
 ROOT = Path(__file__).parents[2]
 LIFECYCLE = {"change_state", "get_state", "get_available_states", "get_available_transitions", "get_transition_graph"}
-
-
-@pytest.fixture
-def probe(in_own_domain: None) -> Iterator[Probe]:
-    rclpy.init()
-    probe = Probe()
-    yield probe
-    probe.close()
-    rclpy.try_shutdown()
 
 
 def test_a_valve_obeys_from_its_first_word_on_and_asks_for_no_transition(probe: Probe, tmp_path: Path) -> None:

@@ -10,10 +10,8 @@ from pathlib import Path
 import pytest
 from nodes.ros_process import ENDS_WITHIN, Probe, own_lines, piped
 
-from valve_sim.model import ParameterError
 from valve_sim.station.figures import Report, finding_report, stroke_report
 from valve_sim.station.keeping import Keeper
-from valve_sim.station.tables import ArchiveSettings
 
 from .test_figures import FINDING, STROKE, SUMMARY
 
@@ -84,19 +82,6 @@ def test_what_a_valves_own_node_says_is_a_class_of_its_own(tmp_path: Path) -> No
         ("driver", 1),
         ("driver", 0),
     ]
-
-
-def test_settings_are_checked_in_one_line() -> None:
-    assert ArchiveSettings.read({}, {}) == ArchiveSettings()
-    for given, words in (
-        ({"years": 0.0}, "command line: years: found 0.0, expected a number from 0.01 to 100 years"),
-        ({"valves": ["a", "b"]}, "monitors: found 1, expected 2, one for each of valves"),
-        ({"folder": ""}, "folder: found '', expected a text"),
-        ({"year": 1.0}, "did you mean years?"),
-    ):
-        with pytest.raises(ParameterError) as refused:
-            ArchiveSettings.read(given, {})
-        assert words in str(refused.value)
 
 
 @pytest.mark.ros

@@ -6,7 +6,6 @@ import asyncio
 import json
 import signal
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -14,32 +13,9 @@ from typing import Any
 import pytest
 from nodes.ros_process import ENDS_WITHIN, Probe, own_lines, piped
 
-from valve_sim.model import ParameterError
 from valve_sim.nodes.starting import Extra
-from valve_sim.station.tables import OpcUaSettings
 
 from .test_figures import FINDING, STROKE, SUMMARY
-
-
-def test_settings_are_checked_in_one_line() -> None:
-    assert OpcUaSettings.read({}, {}) == OpcUaSettings()
-    two = OpcUaSettings.read({"valves": ["a", "b"], "monitors": ["c", "d"]}, {})
-    assert two.serial_numbers == ("", "")
-    one_known = {"valves": ["a", "b"], "monitors": ["c", "d"], "serial_numbers": ["", "SN-7"]}
-    assert OpcUaSettings.read(one_known, {}).serial_numbers == ("", "SN-7"), "that of one valve may be unknown"
-    dumped = {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(two).items()}
-    assert OpcUaSettings.read(dumped, {}) == two, "what `ros2 param dump` writes can be given back"
-    for given, words in (
-        ({"valves": ["a", "b"]}, "monitors: found 1, expected 2, one for each of valves"),
-        ({"port": 70000}, "command line: port: found 70000, expected a number from 1 to 65535"),
-        ({"port": "x"}, "command line: port: found 'x', expected a whole number"),
-        ({"anonymous_read": 1}, "command line: anonymous_read: found 1, expected true or false"),
-        ({"valves": ["a", "a"], "monitors": ["c", "d"]}, "valves: found a, a, expected each once"),
-        ({"folders": ""}, "did you mean folder?"),
-    ):
-        with pytest.raises(ParameterError) as refused:
-            OpcUaSettings.read(given, {})
-        assert words in str(refused.value)
 
 
 def test_a_missing_library_is_one_line_that_says_what_to_install() -> None:
