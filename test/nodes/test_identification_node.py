@@ -31,15 +31,8 @@ pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("ros")]
 TARGET = "/identification"
 
 
-MAKER = Path(__file__).resolve().parents[2] / "bags" / "make_samples.py"
-
-
-@pytest.fixture(scope="module")
-def samples(in_own_domain: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The sample bags made anew, with a recording of a valve_node that runs in real time."""
-    folder = tmp_path_factory.mktemp("samples")
-    subprocess.run([sys.executable, str(MAKER), "--folder", str(folder), "--live"], check=True, timeout=ENDS_WITHIN)
-    return folder
+BAGS = Path(__file__).resolve().parents[2] / "bags"
+MAKER = BAGS / "make_samples.py"
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +74,7 @@ def test_a_recorded_live_valve_is_identified_and_another_one_given_its_parameter
     probe: Probe, live: Probe, tmp_path: Path
 ) -> None:
     # The shipped recording of a live run: one made here would hold the stamps of whatever else this machine does.
-    bag = Path(__file__).parents[2] / "bags" / "live.mcap"
+    bag = BAGS / "live.mcap"
     results = probe.hear("result", String, latched=True)
     given: dict[str, object] = {"apply_to": "valve", "linger": "true", "rate": 0}
     with identifying(tmp_path, bag=bag, **given) as process:
@@ -110,8 +103,8 @@ def test_a_recorded_live_valve_is_identified_and_another_one_given_its_parameter
     assert written.main_damping == pytest.approx(applied["valve.main_damping"], rel=1e-12)
 
 
-def test_it_ends_when_the_recording_is_played_and_the_result_is_known(samples: Path, ros: None, tmp_path: Path) -> None:
-    with identifying(tmp_path, bag=samples / "one_opening.mcap", rate=0) as process:
+def test_it_ends_when_the_recording_is_played_and_the_result_is_known(tmp_path: Path) -> None:
+    with identifying(tmp_path, bag=BAGS / "one_opening.mcap", rate=0) as process:
         assert process.wait(ENDS_WITHIN) == 0
         assert process.stderr is not None
         said = process.stderr.read()
@@ -120,11 +113,9 @@ def test_it_ends_when_the_recording_is_played_and_the_result_is_known(samples: P
     assert "Traceback" not in said
 
 
-def test_a_node_that_is_not_there_is_said_not_to_have_taken_the_result(
-    samples: Path, probe: Probe, tmp_path: Path
-) -> None:
+def test_a_node_that_is_not_there_is_said_not_to_have_taken_the_result(probe: Probe, tmp_path: Path) -> None:
     results, heard = probe.hear("result", String, latched=True), Diagnostics(probe)
-    bag = samples / "one_opening.mcap"
+    bag = BAGS / "one_opening.mcap"
     with identifying(tmp_path, bag=bag, apply_to="/nobody", rate=0, linger="true") as process:
         assert probe.until(lambda: results), "no result"
         applied = json.loads(results[0].data)["applied"]
@@ -135,7 +126,7 @@ def test_a_node_that_is_not_there_is_said_not_to_have_taken_the_result(
         assert process.wait(ENDS_WITHIN) == 1
 
 
-FRICTION = Path(__file__).parents[2] / "bags" / "friction"
+FRICTION = BAGS / "friction"
 """A recording of a valve with Coulomb friction, which the declared one lacks."""
 EXACT = config_path("tank_1.yaml")
 """The shipped valve, its values taken as exact."""
@@ -191,8 +182,8 @@ def test_what_was_set_all_the_same_can_be_undone(probe: Probe, live: Probe, tmp_
     assert {"valve.main_damping", "effects.coulomb_friction.force", "tolerances"} <= section.values.keys()
 
 
-def test_the_replay_is_the_recording_beside_the_model(samples: Path, probe: Probe, tmp_path: Path) -> None:
-    bag = samples / "one_opening.mcap"
+def test_the_replay_is_the_recording_beside_the_model(probe: Probe, tmp_path: Path) -> None:
+    bag = BAGS / "one_opening.mcap"
     trace = read_trace(bag)
     measured, predicted = ByStamp(probe, "measured/joint_states"), ByStamp(probe, "predicted/joint_states")
     residuals, volts = probe.hear("residual", Float64), probe.hear("coil_voltage", Float64)
@@ -226,11 +217,11 @@ class ByStamp:
 
 
 @pytest.mark.any_distribution
-def test_a_diagnosis_is_published_too(samples: Path, probe: Probe, tmp_path: Path) -> None:
+def test_a_diagnosis_is_published_too(probe: Probe, tmp_path: Path) -> None:
     results = probe.hear("result", String, latched=True)
     heard = Diagnostics(probe)
     profile = tmp_path / "record_next.yaml"
-    bag = samples / "one_opening.mcap"
+    bag = BAGS / "one_opening.mcap"
     # It declares friction that this valve has not: one stroke cannot tell that from a constant force.
     given: dict[str, object] = {"params": config_path("tank_2.yaml"), "mode": "diagnose", "budget": 4.0}
     with identifying(tmp_path, bag=bag, rate=0, linger="true", **given):
@@ -243,9 +234,9 @@ def test_a_diagnosis_is_published_too(samples: Path, probe: Probe, tmp_path: Pat
     assert set(volts_at(default_valve(), STROKE_LEVELS)) <= set(read_profile(profile).volts)
 
 
-def test_a_signal_ends_it_at_work_with_code_0(samples: Path, probe: Probe, tmp_path: Path) -> None:
+def test_a_signal_ends_it_at_work_with_code_0(probe: Probe, tmp_path: Path) -> None:
     measured = probe.hear("measured/joint_states", JointState)
-    with identifying(tmp_path, bag=samples / "eight_strokes.mcap", rate=0, loop="true") as process:
+    with identifying(tmp_path, bag=BAGS / "eight_strokes.mcap", rate=0, loop="true") as process:
         assert probe.until(lambda: measured)
         assert cpu_seconds_to_end(process.pid, signal.SIGINT) < 5.0, "it ends at the next word of progress"
         assert process.wait() == 0
@@ -256,7 +247,7 @@ def test_a_signal_ends_it_at_work_with_code_0(samples: Path, probe: Probe, tmp_p
 
 @pytest.mark.any_distribution
 def test_a_loggers_table_is_identified_by_its_map(ros: None, tmp_path: Path) -> None:
-    trace = read_trace(Path(__file__).parents[2] / "bags" / "one_opening.mcap")
+    trace = read_trace(BAGS / "one_opening.mcap")
     volts = np.where(trace.times < trace.drive.times[0], 0.0, trace.drive.volts[0])
     rows = np.column_stack([trace.times, volts, 1e3 * trace.pilot_position])
     np.savetxt(tmp_path / "logger.csv", rows, delimiter=",", header="t,U,lift")

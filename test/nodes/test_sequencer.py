@@ -135,20 +135,13 @@ def test_a_valve_that_does_not_stay_open_closes_all_and_is_named(station: list[T
 
 
 def test_a_valve_that_is_missing_is_named_before_any_is_opened(station: list[Tank], tmp_path: Path) -> None:
+    commands = station[0].probe.hear("coil_voltage", Float64)
     before = [tank.openings() for tank in station]
     blamed = refusal(tmp_path, "patience", "not there", "/tank_1/valve", namespaces="[tank_1, tank_4]")
     assert blamed == "/tank_4/valve"
     assert [tank.openings() for tank in station] == before
-
-
-def test_nothing_is_commanded_before_every_valve_is_there_but_0_v_in_the_end(
-    station: list[Tank], tmp_path: Path
-) -> None:
-    commands = station[0].probe.hear("coil_voltage", Float64)
-    code, _ = run(tmp_path, patience=3.0, namespaces="[tank_1, tank_4]")
-    assert code == 1
     assert station[0].is_without_voltage()
-    assert [message.data for message in commands] in ([], [0.0])
+    assert {message.data for message in commands} <= {0.0}, "nothing is commanded but 0 V in the end"
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -20,23 +20,6 @@ pytestmark = pytest.mark.ros
 
 
 ROOT = Path(__file__).parents[2]
-LIFECYCLE = {"change_state", "get_state", "get_available_states", "get_available_transitions", "get_transition_graph"}
-
-
-def test_a_valve_obeys_from_its_first_word_on_and_asks_for_no_transition(probe: Probe, tmp_path: Path) -> None:
-    is_open = probe.hear("is_open", Bool, latched=True)
-    voltage = probe.talker("coil_voltage", Float64)
-    with running(tmp_path):
-        assert probe.until(lambda: is_open and voltage.get_subscription_count() == 1)
-        voltage.publish(Float64(data=9.0))
-        assert probe.until(lambda: is_open[-1].data)
-        assert probe.until(lambda: "self_test" in services(probe))
-        assert not LIFECYCLE & services(probe)
-
-
-def services(probe: Probe) -> set[str]:
-    """Names of all services that have been found so far; a node's own are found before its parameters'."""
-    return {name.rpartition("/")[2] for name, _ in probe.node.get_service_names_and_types()}
 
 
 def test_a_valve_that_was_killed_while_open_comes_back_closed_and_without_voltage(probe: Probe, tmp_path: Path) -> None:

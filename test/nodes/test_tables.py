@@ -37,7 +37,6 @@ POLICY = ROOT / "config" / "sros2" / "station.policy.xml"
 GAS = f"--params-file {ROOT / 'config' / 'gas_tank_1.yaml'}"
 TANKS = ("tank_1", "tank_2", "tank_3")
 LISTS = {name: f"-p {name}s:=[{','.join(f'{tank}/{name}' for tank in TANKS)}]" for name in ("valve", "monitor")}
-ENDS = ("inlet_pressure", "demand_pressure")
 OF_ALL = ("/parameter_events", "/rosout", "/clock")
 DIRECTIONS = {"publisher": "out", "subscriber": "in", "service": "service", "client": "client"}
 """Words of the graph, and those of the tables."""
@@ -109,7 +108,7 @@ CASES = {
 def by_table(case: Case) -> dict[tuple[str, str], Topic]:
     """Full name and direction of each topic and service of the table, for this node and its valves."""
     found = {}
-    for entry, valve, end in itertools.product(case.topics, case.valves, ENDS):
+    for entry, valve, end in itertools.product(case.topics, case.valves, topics.ENDS):
         monitor, measured = valve.replace("valve", "monitor"), f"{valve}/joint_states"
         places = {"valve": valve, "monitor": monitor, "measured": measured, "sensors": valve, "end": end}
         filled = entry.name.format(**places, alarms="/opcua/alarms")
