@@ -17,10 +17,8 @@ import pytest
 from identification.live_strokes import LiveValve
 
 from nodes.ros import DiagnosticArray, Float64, JointState, String, Trigger
-from valve_sim.files.parameter_files import load_valve
 from valve_sim.records.calibration import load_changes, save_record
 
-from .dumps import TOLERATED, dump
 from .plant_on_topics import PlantOnTopics
 from .ros_process import ENDS_WITHIN, PATIENCE, Diagnostics, Probe, piped, running
 from .test_calibration_watch import signed
@@ -101,7 +99,7 @@ def lab_joints(message: Any) -> Any:
 @pytest.mark.any_distribution
 def test_a_valve_with_topics_and_units_of_its_own_is_watched_by_a_map(probe: Probe, tmp_path: Path) -> None:
     (tmp_path / "lab.yaml").write_text(LAB)
-    plant = PlantOnTopics(probe, LiveValve(seed=5, rate=2e3, jitter=0.0))
+    plant = PlantOnTopics(probe, LiveValve(seed=5, rate=1e3, jitter=0.0))
     plant._samples = Relayed(probe.talker("/plc/joints", JointState, 1000), lab_joints)
     plant._voltage = Relayed(probe.talker("/plc/volts", Float64), lambda message: Float64(data=1e3 * message.data))
     ears = Ears(probe)
@@ -172,7 +170,7 @@ def test_friction_that_appears_in_a_real_valve_is_warned_of_and_named(probe: Pro
 @pytest.mark.any_distribution
 def test_what_commissioning_found_survives_a_restart_until_it_is_asked_for_anew(probe: Probe, tmp_path: Path) -> None:
     state = tmp_path / "kept" / "tank.json"
-    plant = PlantOnTopics(probe, LiveValve(seed=5, rate=2e3, jitter=0.0))
+    plant = PlantOnTopics(probe, LiveValve(seed=5, rate=1e3, jitter=0.0))
     numbers = probe.hear("/monitor/stroke_diagnostics", DiagnosticArray)
     given = {"measured": "measured/joint_states", "use_sim_time": True, "max_rate": 1e5, "state": state, **EXACT}
     with monitoring(tmp_path, **given) as process:
@@ -265,22 +263,6 @@ def joints(names: list[str], positions: list[float]) -> JointState:
     message = JointState(name=names, position=positions)
     message.header.stamp.sec, message.header.stamp.nanosec = divmod(time.time_ns(), 1_000_000_000)
     return message
-
-
-def test_its_parameters_are_dumped_as_a_file_of_the_same_valve(ros: None, tmp_path: Path) -> None:
-    path = tmp_path / "tolerances.yaml"
-    path.write_text(TOLERATED)
-    declared = load_valve(path)
-    monitor = Probe("/monitor")
-    try:
-        arguments = ["--ros-args", "-p", "valve_node:=/tank_1/valve", "--params-file", str(path)]
-        with running(tmp_path, arguments, "monitor_node") as process:
-            values = monitor.parameters()
-            assert monitor.until(lambda: "hears /tank_1/valve/coil_voltage" in process.output)
-    finally:
-        monitor.close()
-    assert values["valve_node"] == "/tank_1/valve"
-    assert load_valve(dump(values, tmp_path / "dump.yaml", "/monitor")) == declared
 
 
 @pytest.mark.any_distribution

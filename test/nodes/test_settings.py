@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from valve_sim.files.parameter_files import load_valve
 from valve_sim.model import ParameterError
 from valve_sim.nodes.parameters import NodeSettings
 from valve_sim.nodes.profile_playing import ProfileSettings
-from valve_sim.nodes.settings import IdentificationSettings
+from valve_sim.nodes.settings import IdentificationSettings, MonitorNodeSettings
+from valve_sim.nodes.starting import read_files
 from valve_sim.station.tables import ArchiveSettings, DispenserSettings, OpcUaSettings, PlcSettings
+
+from .dumps import TOLERATED, dump
 
 TWO = ["a", "b"]
 
@@ -31,6 +36,15 @@ def test_identification_takes_integers_for_doubles_and_names_in_one_text() -> No
     given: dict[str, Any] = {"bag": "a.mcap", "rate": 2, "free": "a0, main_damping,a0", "loop": True}
     expected = IdentificationSettings(bag="a.mcap", free=("a0", "main_damping"), rate=2.0, loop=True)
     assert IdentificationSettings.read(given, {}) == expected
+
+
+def test_the_valve_of_a_monitor_is_dumped_as_a_file_of_the_same_valve(tmp_path: Path) -> None:
+    path = tmp_path / "tolerances.yaml"
+    path.write_text(TOLERATED)
+    ((_, section),) = read_files(["", "--ros-args", "--params-file", str(path)])
+    values = MonitorNodeSettings.values({"valve_node": "/tank_1/valve", "publish_rate": 10.0, **section.values}, {})
+    assert values["valve_node"] == "/tank_1/valve"
+    assert load_valve(dump(values, tmp_path / "dump.yaml", "/monitor")) == load_valve(path)
 
 
 def test_a_serial_number_that_is_not_given_is_not_known() -> None:
