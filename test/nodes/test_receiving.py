@@ -96,17 +96,6 @@ def send_until_heard(probe: Probe, node: Hearing, publisher: Any, number: float)
     assert probe.until(sent)
 
 
-def test_messages_are_taken_by_the_thread_that_delivers_though_nobody_spins_the_node(
-    probe: Probe, hearing: Callable[..., Hearing]
-) -> None:
-    node = hearing(spinning=False)
-    source = node.inbox.subscribe(Float64, "~/volts", node.take, RELIABLE)
-    assert source.topic == "/heard/volts"
-    assert not node.inbox.deliver()
-    send_until_heard(probe, node, probe.talker("volts", Float64), 4.5)
-    assert node.threads == {threading.current_thread()}
-
-
 @pytest.mark.parametrize("way", ["polled", "by the executor", "in simulated time"])
 def test_every_message_is_taken_once_and_in_order_however_it_comes(
     probe: Probe, hearing: Callable[..., Hearing], way: str, monkeypatch: pytest.MonkeyPatch
@@ -204,6 +193,7 @@ def test_what_nobody_takes_is_bounded(probe: Probe, hearing: Callable[..., Heari
 def test_a_publisher_that_cannot_be_heard_is_counted(probe: Probe, hearing: Callable[..., Hearing]) -> None:
     node = hearing()
     source = node.inbox.subscribe(Float64, "~/volts", node.take, RELIABLE)
+    assert source.topic == "/heard/volts"
     assert source.incompatible_publishers == 0
     probe.talker("volts", Float64, QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT))
     assert probe.until(lambda: source.incompatible_publishers == 1)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import signal
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -142,15 +141,3 @@ def test_a_valve_that_is_missing_is_named_before_any_is_opened(station: list[Tan
     assert [tank.openings() for tank in station] == before
     assert station[0].is_without_voltage()
     assert {message.data for message in commands} <= {0.0}, "nothing is commanded but 0 V in the end"
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_closes_all(station: list[Tank], tmp_path: Path, number: signal.Signals) -> None:
-    with sequencing(tmp_path, hold=1000.0, timeout=PATIENCE) as process:
-        last = station[-1]
-        assert last.probe.until(lambda: last.is_open[-1].data)
-        process.send_signal(number)
-        _, words = process.communicate(timeout=ENDS_WITHIN)
-        assert process.returncode == 1
-        assert "sequencer: interrupted; all valves are commanded closed" in words.splitlines()
-    assert all(tank.is_without_voltage() for tank in station)

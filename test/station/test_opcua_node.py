@@ -121,19 +121,3 @@ async def _operate(endpoint: str, identity: Any) -> tuple[dict[str, Any], dateti
     await client.get_node(ua.NodeId("valve.Alarm.ShelvingState", index)).call_method("0:OneShotShelve")
     await client.disconnect()
     return values, stamp, methods
-
-
-@pytest.mark.ros
-def test_a_port_that_is_taken_ends_the_node_with_one_line(in_own_domain: None, tmp_path: Path) -> None:
-    import socket
-
-    pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
-    pytest.importorskip("asyncua", reason="asyncua is not installed: pip install '.[opcua]'")
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
-        port = taken.getsockname()[1]
-        with piped(tmp_path, node(tmp_path / "server"), port=port, address="127.0.0.1") as process:
-            _, said = process.communicate(timeout=ENDS_WITHIN)
-    assert process.returncode == 2
-    assert own_lines(said)[-1].startswith(f"opcua_node: port {port} of 127.0.0.1: cannot be listened on"), said

@@ -28,7 +28,7 @@ from valve_sim.identification.reporting.identification import identification_jso
 from valve_sim.identification.reporting.units import measured
 from valve_sim.model import Phase, Reading, Response, Valve
 from valve_sim.model.errors import ValveError
-from valve_sim.nodes.diagnostics import Level, Status
+from valve_sim.nodes.diagnostics import Level, Status, number_words
 from valve_sim.nodes.realtime import (
     LISTENERS_SECONDS,
     NANOSECONDS,
@@ -233,12 +233,12 @@ def replay_status(replay: Replay, now: int, model: str) -> Status:
         "passes": str(replay.passes),
         "played": f"{replay.played} of {replay.samples}",
         "rate wanted (Hz)": f"{wanted:g}" if wanted > 0.0 else "as fast as possible",
-        "rate reached (Hz)": "none" if math.isnan(timing.rate) else f"{timing.rate:.1f}",
+        "rate reached (Hz)": number_words(timing.rate, ".1f"),
     }
     if replay.is_done:
         return Status("replay", Level.OK, "done", values)
     if wanted > 0.0:
-        values["lateness p99 (ms)"] = "none" if math.isnan(timing.lateness) else f"{1e3 * timing.lateness:.3f}"
+        values["lateness p99 (ms)"] = number_words(1e3 * timing.lateness, ".3f")
         if timing.lateness > LATE_SECONDS:
             message = f"samples are published up to {timing.lateness:.3f} s late; ask for a lower rate"
             return Status("replay", Level.WARN, message, values)

@@ -15,6 +15,7 @@ from sensor_msgs.msg import FluidPressure
 from std_msgs.msg import Float64
 
 from valve_sim.files.parameter_sections import Section
+from valve_sim.nodes.messages import ReadingMessages
 from valve_sim.nodes.realtime import NANOSECONDS, Arrival, Restart, Worker
 from valve_sim.nodes.receiving import Inbox
 from valve_sim.nodes.starting import STOP_SECONDS
@@ -38,7 +39,7 @@ class DispenserNode(CommandingNode[DispenserSettings]):
     def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
         super().__init__("dispenser", sections, DispenserSettings, DISPENSER_TOPICS)
         self._dispenser = Dispenser(self._settings)
-        self._inbox = Inbox(self._node, self._clock)
+        self._inbox, self._messages = Inbox(self._node, self._clock), ReadingMessages("")
         self._wire()
         self._zero = 0
         self._worker = Worker(
@@ -108,20 +109,14 @@ class DispenserNode(CommandingNode[DispenserSettings]):
 
     def _publish(self, done: Dispensed) -> None:
         stamp = self._clock.stamp()
-        line = _pressure(stamp, done.line_pressure)
+        line = self._messages.pressure(stamp, done.line_pressure)
         for demand in self._demands:
             demand.publish(line)
         for inlet, pressure in zip(self._inlets, done.tank_pressures, strict=True):
             if inlet is not None:
-                inlet.publish(_pressure(stamp, pressure))
+                inlet.publish(self._messages.pressure(stamp, pressure))
         with self._commanding:
             for voltage, volts in zip(self._voltages, done.volts, strict=True) if not self._is_off else ():
                 voltage.publish(Float64(data=volts))
         self._line.publish(line)
-        self._vehicle.publish(_pressure(stamp, done.vehicle_pressure))
-
-
-def _pressure(stamp: int, pressure: float) -> FluidPressure:
-    message = FluidPressure(fluid_pressure=pressure)
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, NANOSECONDS)
-    return message
+        self._vehicle.publish(self._messages.pressure(stamp, done.vehicle_pressure))
