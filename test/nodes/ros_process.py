@@ -6,6 +6,7 @@ import contextlib
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -36,6 +37,13 @@ def slowness() -> float:
     while time.thread_time() - used < 0.05:
         pass
     return max(1.0, (time.monotonic() - begin) / (time.thread_time() - used))
+
+
+def free_port() -> int:
+    """A port of this machine that nothing listens on."""
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        return int(found.getsockname()[1])
 
 
 def own_lines(output: str) -> list[str]:

@@ -13,12 +13,11 @@ from pathlib import Path
 import pytest
 
 from nodes.ros import (
+    LATCHED,
     Bool,
     Clock,
-    DurabilityPolicy,
     Float64,
     JointState,
-    QoSProfile,
     Time,
     UInt8,
 )
@@ -203,7 +202,6 @@ def test_two_nodes_of_one_name_are_warned_of(probe: Probe, tmp_path: Path) -> No
 
 def test_a_subscriber_of_another_quality_is_said_in_the_log(probe: Probe, tmp_path: Path) -> None:
     with valve(tmp_path) as process:
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        probe.node.create_subscription(JointState, "/valve/joint_states", lambda message: None, latched)
+        probe.node.create_subscription(JointState, "/valve/joint_states", lambda message: None, LATCHED)
         assert probe.until(lambda: "incompatible QoS" in process.output)
         assert "'~/joint_states', requesting incompatible QoS" in process.output

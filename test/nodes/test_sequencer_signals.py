@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from nodes.ros import Bool, DurabilityPolicy, Float64, QoSProfile
+from nodes.ros import LATCHED, Bool, Float64
 
 from .ros_process import PATIENCE, Probe
 
@@ -27,8 +27,7 @@ class QuickValve:
 
     def __init__(self, node: Any, name: str) -> None:
         self.voltages: list[float] = []
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._is_open = node.create_publisher(Bool, f"/{name}/valve/is_open", latched)
+        self._is_open = node.create_publisher(Bool, f"/{name}/valve/is_open", LATCHED)
         self._is_open.publish(Bool(data=False))
         node.create_subscription(Float64, f"/{name}/valve/coil_voltage", self._take, 10)
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 import importlib.util
 import itertools
 import os
-import socket
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
@@ -28,7 +27,7 @@ from valve_sim.nodes.valve_parameters import ValveSettings
 from valve_sim.nodes.wiring import profile
 from valve_sim.station import tables as station
 
-from .ros_process import Probe, running
+from .ros_process import Probe, free_port, running
 
 pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("ros")]
 
@@ -135,12 +134,6 @@ def own(found: Names) -> Names:
         for (name, direction), kind in found.items()
         if direction != "client" and name not in OF_ALL and not kind.startswith(("rcl_interfaces", "type_description"))
     }
-
-
-def free_port() -> int:
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        return int(found.getsockname()[1])
 
 
 def check_qos(probe: Probe, case: Case) -> None:

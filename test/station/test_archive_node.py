@@ -86,15 +86,11 @@ def test_what_a_valves_own_node_says_is_a_class_of_its_own(tmp_path: Path) -> No
 
 @pytest.mark.ros
 def test_what_a_monitor_said_is_read_after_the_node_has_gone(probe: Probe, tmp_path: Path) -> None:
-    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-    from rclpy.qos import DurabilityPolicy, QoSProfile
-    from std_msgs.msg import String
-    from std_srvs.srv import Trigger
+    from nodes.ros import LATCHED, DiagnosticArray, DiagnosticStatus, KeyValue, String, Trigger
 
     entries = [KeyValue(key=key, value=value) for key, value in FINDING.items()]
-    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     strokes = probe.talker("/monitor/stroke_report", String)
-    finding = probe.talker("/monitor/finding", DiagnosticArray, latched)
+    finding = probe.talker("/monitor/finding", DiagnosticArray, LATCHED)
     answers = probe.talker("/opcua/alarms", DiagnosticArray)
     answer = {"valve": "/valve", "user": "Bob", "comment": "seen", "shelved": "true"}
     said_of = [KeyValue(key=key, value=value) for key, value in answer.items()]

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import pytest
+from nodes.ros_process import free_port
 
 pytest.importorskip("pymodbus", reason="pymodbus is not installed: pip install '.[modbus]'")
 
@@ -26,12 +27,6 @@ from valve_sim.station.plc import STATUS, PlcStation
 
 Cycle = Callable[[int, int], list[int]]
 """Writes heartbeat and command, and reads the eight registers of the status."""
-
-
-def free_port() -> int:
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        return int(found.getsockname()[1])
 
 
 class Served:

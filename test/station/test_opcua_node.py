@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from nodes.ros_process import ENDS_WITHIN, Probe, own_lines, piped
+from nodes.ros_process import ENDS_WITHIN, Probe, free_port, own_lines, piped
 
 from valve_sim.nodes.starting import Extra
 
@@ -33,20 +33,16 @@ def node(folder: Path) -> tuple[str, ...]:
 
 @pytest.mark.ros
 def test_what_is_said_on_topics_is_read_and_methods_call_services(probe: Probe, tmp_path: Path) -> None:
-    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-    from rclpy.qos import DurabilityPolicy, QoSProfile
-    from std_msgs.msg import Bool, Float64, String
-    from std_srvs.srv import Trigger
+    from nodes.ros import LATCHED, Bool, DiagnosticArray, DiagnosticStatus, Float64, KeyValue, String, Trigger
 
-    from .clients import Identity, free_port
+    from .clients import Identity
 
     entries = [KeyValue(key=key, value=value) for key, value in FINDING.items()]
     finding = DiagnosticArray(status=[DiagnosticStatus(message=SUMMARY, values=entries)])
-    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     talkers = [
         (probe.talker("/monitor/stroke_report", String), String(data=json.dumps(STROKE))),
-        (probe.talker("/monitor/finding", DiagnosticArray, latched), finding),
-        (probe.talker("is_open", Bool, latched), Bool(data=True)),
+        (probe.talker("/monitor/finding", DiagnosticArray, LATCHED), finding),
+        (probe.talker("is_open", Bool, LATCHED), Bool(data=True)),
         (probe.talker("coil_current", Float64), Float64(data=0.75)),
     ]
     diagnostics = DiagnosticArray()

@@ -12,8 +12,9 @@ from datetime import datetime, timezone
 from pathlib import Path
 
 import pytest
+from nodes.ros_process import free_port
 
-from station.clients import CLIENT_URI, Identity, Noted, Served, connected, free_port, place
+from station.clients import CLIENT_URI, Identity, Noted, Served, connected, place
 
 from asyncua import ua  # isort: skip
 

@@ -6,18 +6,16 @@ import signal
 from pathlib import Path
 
 import pytest
-from nodes.ros_process import ENDS_WITHIN, Probe, own_lines, piped
+from nodes.ros_process import ENDS_WITHIN, Probe, free_port, own_lines, piped
 
 
 @pytest.mark.ros
 def test_a_plc_opens_a_valve_reads_it_falls_silent_and_the_coil_is_off(probe: Probe, tmp_path: Path) -> None:
-    from rclpy.qos import DurabilityPolicy, QoSProfile
-    from std_msgs.msg import Bool, Float64, UInt8
+    from nodes.ros import LATCHED, Bool, Float64, UInt8
 
-    from .test_modbus import free_port, pymodbus_cycle
+    from .test_modbus import pymodbus_cycle
 
-    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    is_open, phase = probe.talker("is_open", Bool, latched), probe.talker("phase", UInt8, latched)
+    is_open, phase = probe.talker("is_open", Bool, LATCHED), probe.talker("phase", UInt8, LATCHED)
     current, volts = probe.talker("coil_current", Float64), probe.hear("coil_voltage", Float64)
     port, file, beats = free_port(), tmp_path / "map.csv", 0
     program = ("-m", "valve_sim.station", "plc_node", "--ros-args", "-p", f"map_file:={file}")
