@@ -112,10 +112,6 @@ class StationServer:
         """The address for clients on this machine."""
         return f"opc.tcp://{_host(self._settings.address)}:{self._settings.port}/valve_sim/"
 
-    def alarm(self, valve: str) -> Alarm:
-        """The state of a valve's alarm."""
-        return self._alarms[valve]
-
     async def start(self) -> None:
         """Make what is missing, show what was known last, and listen.
 

@@ -239,12 +239,6 @@ class PlcStation:
         return [(register, values[register.name]) for register in MAP if register.name in values]
 
 
-def pressure_of(registers: Sequence[int], *, low_word_first: bool = False) -> float:
-    """A FLOAT32 of two registers."""
-    words = list(reversed(registers)) if low_word_first else list(registers)
-    return float(struct.unpack(">f", struct.pack(">2H", *words))[0])
-
-
 def map_csv(valves: Sequence[str]) -> str:
     """The register map of some valves for the programs of a PLC: one line for each value."""
     text = io.StringIO()
