@@ -293,7 +293,8 @@ def _on_signals(action: signal.Handlers | Callable[[int, FrameType | None], None
 
 def _ensure_log_folder(name: str) -> None:
     """Log elsewhere, and say so, where ROS cannot write its log: it would not start."""
-    folder = log_folder()
+    rclpy()
+    folder = Path(importlib.import_module("rclpy.logging").get_logging_directory())
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
@@ -305,15 +306,6 @@ def _ensure_log_folder(name: str) -> None:
             f"{name}: {folder}: cannot be written ({error.strerror}); logs go to {elsewhere}, or set ROS_LOG_DIR",
             file=sys.stderr,
         )
-
-
-def log_folder() -> Path:
-    """Where ROS will log: ROS_LOG_DIR, or log/ below ROS_HOME, or ~/.ros/log."""
-    chosen = os.environ.get("ROS_LOG_DIR")
-    if chosen:
-        return Path(chosen).expanduser()
-    home = os.environ.get("ROS_HOME")
-    return (Path(home) if home else Path("~/.ros")).expanduser() / "log"
 
 
 class Profile(NamedTuple):
