@@ -140,6 +140,15 @@ def beside(
         probe.close()
 
 
+def ended(process: subprocess.Popen[str], number: int | None = None, code: int = 0) -> str:
+    """What a program of `piped` has said, once it has ended with this code; after a signal, if one is given."""
+    if number is not None:
+        process.send_signal(number)
+    _, said = process.communicate(timeout=ENDS_WITHIN)
+    assert process.returncode == code, said
+    return said
+
+
 @contextlib.contextmanager
 def piped(folder: Path, program: Sequence[str], **parameters: object) -> Iterator[subprocess.Popen[str]]:
     """Python with a program that takes ROS parameters, while inside; its stderr is a pipe, read when it has ended."""

@@ -11,7 +11,7 @@ import pytest
 
 from nodes.ros import Float64, FluidPressure
 
-from .ros_process import ENDS_WITHIN, Probe, piped
+from .ros_process import Probe, ended, piped
 
 pytestmark = pytest.mark.ros
 TARGET = "/tank_1/valve"
@@ -42,9 +42,7 @@ def test_it_opens_the_first_tank_once_all_are_heard_and_ends_with_all_coils_off(
         first = line[-1].fluid_pressure if line else 2.0 * MEGA
         assert probe.until(lambda: line and line[-1].fluid_pressure > first + 0.2 * MEGA)
         assert probe.until(lambda: tank and 19.0 * MEGA < tank[-1].fluid_pressure < 20.0 * MEGA)
-        process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=ENDS_WITHIN)
-        assert process.returncode == 0, said
+        said = ended(process, signal.SIGINT)
         assert probe.until(lambda: volts[-1].data == 0.0), said
     assert "opens tank_1/valve, its tank at 20.0 MPa, the vehicle at 2.0 MPa" in said
     assert {message.data for message in other} <= {0.0}

@@ -25,7 +25,7 @@ from valve_sim.identification.reporting.recording_profile import STROKE_LEVELS
 from valve_sim.traces import read_trace
 from valve_sim.traces.synthetic import read_profile
 
-from .ros_process import ENDS_WITHIN, PATIENCE, Diagnostics, Probe, piped, running
+from .ros_process import ENDS_WITHIN, PATIENCE, Diagnostics, Probe, ended, piped, running
 
 pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("ros")]
 TARGET = "/identification"
@@ -81,10 +81,7 @@ def test_a_recorded_live_valve_is_identified_and_another_one_given_its_parameter
         assert probe.until(lambda: results), "no result"
         report = json.loads(results[0].data)
         applied = live.parameters()
-        process.send_signal(signal.SIGINT)
-        assert process.wait(ENDS_WITHIN) == 0
-        assert process.stderr is not None
-        said = process.stderr.read()
+        said = ended(process, signal.SIGINT)
     for name, truth in maker().LIVE_DAMPINGS.items():
         found = report["parameters"][name]
         assert found["ci95"][0] <= truth <= found["ci95"][1]
@@ -105,9 +102,7 @@ def test_a_recorded_live_valve_is_identified_and_another_one_given_its_parameter
 
 def test_it_ends_when_the_recording_is_played_and_the_result_is_known(tmp_path: Path) -> None:
     with identifying(tmp_path, bag=BAGS / "one_opening.mcap", rate=0) as process:
-        assert process.wait(ENDS_WITHIN) == 0
-        assert process.stderr is not None
-        said = process.stderr.read()
+        said = ended(process)
     assert f"; see {tmp_path / 'identified.yaml'}" in said
     assert re.search(r"identified: pilot_damping \d\.\d+ ± \d\.\d+ N·s/m, main_damping", said)
     assert "Traceback" not in said
@@ -125,10 +120,7 @@ def test_a_fit_that_leaves_more_than_tolerances_is_not_handed_on(probe: Probe, l
     given: dict[str, object] = {"apply_to": "valve", "linger": "true", "rate": 0}
     with identifying(tmp_path, bag=FRICTION, **given) as process:
         assert probe.until(lambda: results), "no result"
-        process.send_signal(signal.SIGINT)
-        assert process.wait(ENDS_WITHIN) == 1
-        assert process.stderr is not None
-        said = process.stderr.read()
+        said = ended(process, signal.SIGINT, 1)
         assert (live.parameters()["valve.pilot_damping"], live.parameters()["valve.main_damping"]) == (1.0, 4.0)
     applied = json.loads(results[0].data)["applied"]
     assert not applied["is_set"]
@@ -157,10 +149,7 @@ def test_what_was_set_all_the_same_can_be_undone(probe: Probe, live: Probe, tmp_
         probe.call("undo", Trigger)
         assert live.parameters() == {**before, "frame_id": "tank"}, "what others set meanwhile stays"
         assert not probe.call("undo", Trigger).success, "there is nothing left to undo"
-        process.send_signal(signal.SIGINT)
-        assert process.wait(ENDS_WITHIN) == 0
-        assert process.stderr is not None
-        said = process.stderr.read()
+        said = ended(process, signal.SIGINT)
     assert "is given the result although the residual is not white" in said
     assert "/valve has its own values again: " in said
     (section,) = read_sections(tmp_path / "before.yaml")
@@ -179,8 +168,7 @@ def test_the_replay_is_the_recording_beside_the_model(probe: Probe, tmp_path: Pa
     with identifying(tmp_path, bag=bag, rate=0.05, loop="true") as process:
         assert probe.until(lambda: measured.messages.keys() == predicted.messages.keys() == stamps)
         assert probe.until(lambda: volts and heard.is_said("replay", 0))
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(ENDS_WITHIN) == 0
+        ended(process, signal.SIGTERM)
     positions = measured.positions()
     np.testing.assert_array_equal(positions, trace.pilot_position)
     assert np.std(positions - predicted.positions()) < 3e-6

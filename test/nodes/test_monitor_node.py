@@ -20,7 +20,7 @@ from nodes.ros import DiagnosticArray, Float64, JointState, String, Trigger
 from valve_sim.records.calibration import load_changes, save_record
 
 from .plant_on_topics import PlantOnTopics
-from .ros_process import ENDS_WITHIN, PATIENCE, Diagnostics, Probe, piped, running
+from .ros_process import PATIENCE, Diagnostics, Probe, ended, piped, running
 from .test_calibration_watch import signed
 
 pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("ros")]
@@ -116,8 +116,7 @@ def test_a_valve_with_topics_and_units_of_its_own_is_watched_by_a_map(probe: Pro
             lambda: plant._samples.publish(JointState(position=[-1.0])),
             lambda: ears.is_said("input", 1, "/plc/joints: -1 m, expected metres"),
         )
-        process.send_signal(signal.SIGINT)
-        assert process.wait(ENDS_WITHIN) == 0
+        ended(process, signal.SIGINT)
 
 
 @pytest.mark.long
@@ -160,9 +159,7 @@ def test_friction_that_appears_in_a_real_valve_is_warned_of_and_named(probe: Pro
         plant.strokes(8, {"coulomb_friction": {"force": 0.3}})
         assert probe.until(lambda: len(findings) > 1, 2 * PATIENCE), "no second finding"
         told = [message.status[0].message for message in findings]
-        process.send_signal(signal.SIGTERM)
-        _, said = process.communicate(timeout=ENDS_WITHIN)
-        assert process.returncode == 0
+        said = ended(process, signal.SIGTERM)
         assert said.count(told[0]) == 1
         assert not any(words in said for words in told[1:] if words != told[0])
 
@@ -179,8 +176,7 @@ def test_what_commissioning_found_survives_a_restart_until_it_is_asked_for_anew(
         assert probe.until(lambda: state.exists() and numbers_of(FEW + 1, numbers))
         values = numbers_of(FEW + 1, numbers)
         assert float(values["t2 (ms)"]) == pytest.approx(1e3 * reports[FEW + 1]["t2"], rel=1e-4)
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(ENDS_WITHIN) == 0
+        ended(process, signal.SIGTERM)
     plant.predicted.clear()
     with monitoring(tmp_path, **given):
         plant.wait_for_monitor()
@@ -275,9 +271,7 @@ def test_an_expired_calibration_is_a_warning_and_another_declared_value_goes_to_
     with monitoring(tmp_path, calibration=path, **{"valve.spring_rate": 431.0}) as process:
         words = "the calibration of SN-7 expired on 2020-12-31; calibrate it anew"
         assert probe.until(lambda: ears.is_said("calibration", 1, words))
-        process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=ENDS_WITHIN)
-        assert process.returncode == 0
+        said = ended(process, signal.SIGINT)
     assert "Traceback" not in said
     assert said.count(words) == 1
     assert "changed since the calibration: valve.spring_rate 428.0 → 431.0" in said

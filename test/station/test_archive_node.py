@@ -8,7 +8,7 @@ from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
 import pytest
-from nodes.ros_process import ENDS_WITHIN, Probe, own_lines, piped
+from nodes.ros_process import Probe, ended, own_lines, piped
 
 from valve_sim.station.figures import Report, finding_report, stroke_report
 from valve_sim.station.keeping import Keeper
@@ -109,9 +109,7 @@ def test_what_a_monitor_said_is_read_after_the_node_has_gone(probe: Probe, tmp_p
         probe.spin_for(2.0)  # all are in the node's queues; the next look takes them
         answer = probe.call("serviced", Trigger)
         assert answer.success and answer.message == "/valve: serviced after 3 strokes; they count from 0 again"
-        process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=ENDS_WITHIN)
-    assert process.returncode == 0, said
+        said = ended(process, signal.SIGINT)
     archive = Archive(folder)
     assert [row["number"] for row in archive.read("strokes", "/valve")] == [0, 1, 2]
     assert [row["effect"] for row in archive.read("findings", "/valve")] == ["coulomb_friction"]

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from nodes.ros_process import ENDS_WITHIN, Probe, free_port, own_lines, piped
+from nodes.ros_process import Probe, ended, free_port, own_lines, piped
 
 from valve_sim.nodes.starting import Extra
 
@@ -73,9 +73,7 @@ def test_what_is_said_on_topics_is_read_and_methods_call_services(probe: Probe, 
         assert probe.until(asked.done)
         values, stamp, methods = asked.result()
         assert probe.until(lambda: answers), "a person has shelved the alarm"
-        process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=ENDS_WITHIN)
-    assert process.returncode == 0, said
+        said = ended(process, signal.SIGINT)
     assert values == {
         "Stroke.Number": 31, "Finding.Probability": 0.98, "Live.IsOpen": True, "Live.CoilCurrent": 0.75,
         "Health.Message": "has changed", "Driver.Message": "timing: on time",

@@ -6,7 +6,7 @@ import signal
 from pathlib import Path
 
 import pytest
-from nodes.ros_process import ENDS_WITHIN, Probe, free_port, own_lines, piped
+from nodes.ros_process import Probe, ended, free_port, own_lines, piped
 
 
 @pytest.mark.ros
@@ -49,9 +49,7 @@ def test_a_plc_opens_a_valve_reads_it_falls_silent_and_the_coil_is_off(probe: Pr
         assert probe.until(lambda: is_shown(0, 0, 0))
         assert probe.until(lambda: is_shown(1, 4, 1))
         close()
-        process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=ENDS_WITHIN)
-        assert process.returncode == 0, said
+        said = ended(process, signal.SIGINT)
         assert probe.until(lambda: volts[-1].data == 0.0), said
     lines = own_lines(said)
     assert any("/valve: de-energised, the PLC has been silent for 1 s" in line for line in lines), said
