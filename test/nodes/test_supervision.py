@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from nodes.ros import Bool, DiagnosticArray, Float64, UInt8
+from nodes.ros import Bool, Float64, UInt8
 
-from .ros_process import Probe, running
+from .ros_process import Diagnostics, Probe, running
 
 pytestmark = pytest.mark.ros
 
@@ -31,14 +31,13 @@ def test_a_valve_that_was_killed_while_open_comes_back_closed_and_without_voltag
         assert probe.until(lambda: is_open[-1].data)
         killed.process.kill()
         assert killed.exit_code() == -signal.SIGKILL
-    phases, heard = probe.hear("phase", UInt8, latched=True), probe.hear("/diagnostics", DiagnosticArray)
+    phases, heard = probe.hear("phase", UInt8, latched=True), Diagnostics(probe)
     with running(tmp_path):
         assert probe.until(lambda: not is_open[-1].data), (
             "the controller's publisher is still there, its command is not"
         )
-        assert probe.until(lambda: heard and phases)
-        (command,) = (status for status in heard[-1].status if status.name == "valve: command")
-        assert (command.message, {pair.key: pair.value for pair in command.values}["voltage (V)"]) == ("none yet", "0")
+        assert probe.until(lambda: heard.all("command") and phases)
+        assert (heard.all("command")[-1].message, heard.values("command")["voltage (V)"]) == ("none yet", "0")
         assert {message.data for message in phases} == {0}
 
 

@@ -77,7 +77,7 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
 
     def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
         super().__init__("monitor", sections, MonitorNodeSettings, topics.MONITOR)
-        self._declared = valve_of(self._values, self._node.get_fully_qualified_name())
+        self._declared = valve_of(self._initial_values, self._node.get_fully_qualified_name())
         settings, valve = self._settings.monitor, self._declared
         self._valve = full_name(self._node, self._settings.valve_node, "valve_node")
         measured = full_name(self._node, f"{self._valve}/{self._settings.measured}", "measured")

@@ -228,8 +228,8 @@ class RosNode(Generic[S]):
     ) -> None:
         self._node = make_node(name)
         self._clock = NodeClock(self._node)
-        self._values = declared(self._node, sections, settings)
-        self._settings: S = settings.of(self._values)
+        self._initial_values = declared(self._node, sections, settings)
+        self._settings: S = settings.of(self._initial_values)
         self._interface = Interface(self._node, topics)
         self._exit_code = 0
         self._threads: list[Stops] = []
