@@ -8,7 +8,6 @@ for neither.
 from __future__ import annotations
 
 import contextlib
-import gc
 import json
 import math
 from collections.abc import Sequence
@@ -26,7 +25,7 @@ from valve_sim.identification.monitoring.segmenter import StrokeSegmenter
 from valve_sim.identification.monitoring.stroke_monitor import StrokeMonitor, StrokeReport
 from valve_sim.identification.reporting.monitoring import stroke_json
 from valve_sim.identification.reporting.monitoring_words import told_finding
-from valve_sim.model import ParameterError, Stepper
+from valve_sim.model import ParameterError
 from valve_sim.nodes import topics
 from valve_sim.nodes.diagnostics import Level, Status
 from valve_sim.nodes.live_map import live_inputs
@@ -46,7 +45,7 @@ from valve_sim.nodes.monitor_work import (
 )
 from valve_sim.nodes.realtime import LONGEST_LEAP_SECONDS, NANOSECONDS, SubscriberCounts
 from valve_sim.nodes.settings import MonitorNodeSettings
-from valve_sim.nodes.threads import Repeating
+from valve_sim.nodes.threads import Repeating, load_stepper
 from valve_sim.nodes.valve_parameters import valve_of
 from valve_sim.nodes.wiring import RosNode, full_name
 from valve_sim.traces import Trace
@@ -261,10 +260,7 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
 
     def _prepare(self) -> None:
         """Load or compile the model before the first sample is processed."""
-        stepper = Stepper(self._segmenter.valve)
-        stepper.command(1e-3, self._segmenter.valve.parameters.reference_voltage)
-        stepper.advance(20e-3)
-        gc.freeze()
+        load_stepper(self._segmenter.valve)
         self._is_ready = True
         self._node.get_logger().info(
             f"ready: hears {self._inputs.voltage} and {self._inputs.measured}, reports each stroke on "
