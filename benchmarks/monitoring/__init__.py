@@ -16,7 +16,6 @@ gas: a leak or a clogged pilot orifice that begins in service, seen by the posit
 95 % interval hold the truth?
 sweep: each effect and each declared value changes by so many of its reported limits, at 500 Hz and 1 kHz. Wanted: an
 alarm within 5 strokes of whatever exceeds three limits, at most one in 2,000 healthy strokes.
-topics: healthy and growth with monitor_node as a process and ROS 2 between, as fast as it takes the strokes.
 
-Exit code 1 where a figure falls short. Only `topics` needs ROS 2.
+Exit code 1 where a figure falls short. Needs no ROS.
 """

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import copy
 import math
-import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, Final, NamedTuple
@@ -311,31 +310,7 @@ def gas(options: Options) -> bool:
     return say(right >= NAMED * options.seeds, words)
 
 
-def topics(options: Options) -> bool:
-    """Healthy strokes, and friction that grows, with monitor_node as a process."""
-    from benchmarks.monitoring.topics import growth_on_topics, healthy_on_topics
-
-    seeds = range(options.first, options.first + options.seeds)
-    good = []
-    if options.strokes:
-        begun = time.perf_counter()
-        rows = healthy_on_topics(seeds, -(-options.strokes // options.seeds))
-        took, simulated = time.perf_counter() - begun, STROKE_SECONDS * sum(row.strokes for row in rows)
-        good.append(few_alarms(rows, "on topics"))
-        good.append(say(took < simulated, f"{took:.0f} s by the wall for {simulated:.0f} s of strokes"))
-    forces = rising(ALARM_FORCE, COMMISSIONING, GROWING, STAYING + 1)
-    found = [
-        Grown(alarmed, names == (FRICTION,), " + ".join(names) or "nothing", ratio)
-        for alarmed, names, ratio in growth_on_topics(seeds, forces, COMMISSIONING)
-    ]
-    worst = max(abs(row.ratio - 1.0) for row in found)
-    good.append(soon_enough(found, REACHED, SOON, ""))
-    good.append(named(found, f"the right name within {STAYING} strokes"))
-    good.append(say(worst < 0.1, f"residual over noise: within {worst:.1%} of 1 in each seed (10 %)"))
-    return all(good)
-
-
 PARTS: Final[Mapping[str, Callable[[Options], bool]]] = {
     "healthy": healthy, "growth": growth, "laboratory": laboratory, "coil": coil, "gas": gas,
-    "sweep": sweep, "topics": topics,
+    "sweep": sweep,
 }  # fmt: skip
