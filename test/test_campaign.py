@@ -244,7 +244,7 @@ def test_every_kind_of_actuator_lacks_each_of_its_effects_and_one_in_five_nothin
     kinds, found = list(KINDS), [missing(seed) for seed in range(2 * ROUND)]
     assert found.count("") == 2 * ROUND // 5
     for place, (name, kind) in enumerate(KINDS.items()):
-        assert {*found[place :: len(kinds)]} == {*kind.effects, ""}, name
+        assert {*found[place :: len(kinds)]} == {*kind.sizes, ""}, name
 
 
 def test_the_true_coil_rises_as_the_exponential_of_its_time_constant() -> None:
