@@ -2,7 +2,6 @@
 
 core: runs at a tolerance of 1e-8 on one thread, per run; then 10,000 openings on one and on two threads. The best of
 the turns is shown, as machines change their speed by two within seconds.
-derivatives: what the Jacobian of a fit's prediction costs, in plain runs of the compiled core and of the fit, CPU time.
 live: steps of 1 ms of the live valve. start: the first result of a process, with an empty cache and with a full one.
 commands: `valve-sim identify` of half a second at 20 kHz as a new process, the fit in it, and reading.
 
@@ -24,7 +23,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -35,11 +33,8 @@ from plants.recording import Recorder, record, train_profile
 from benchmarks.campaign.declared import as_trace
 from benchmarks.common import parser, show
 from benchmarks.coverage import true_dampings
-from valve_sim.files.parameter_files import default_valve
 from valve_sim.files.resources import config_path
-from valve_sim.identification.plants.protocol import Direction
-from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.model import Drive, Valve, runs, simulate
+from valve_sim.model import Drive, Valve, simulate
 from valve_sim.model.live import Live
 from valve_sim.model.runs import Directions, run_sloped
 from valve_sim.model.simulation import run_numbers
@@ -208,57 +203,6 @@ def strokes() -> Trace:
     return as_trace(record(plant, train_profile(), Recorder(quantisation=0.1e-6), SEED), f"seed {SEED}")
 
 
-class CoreTime:
-    """CPU time of the compiled core alone: while it is in use, the core's entry is timed."""
-
-    def __init__(self) -> None:
-        self.spent = 0
-        self._entry = runs.entry
-
-    def __enter__(self) -> CoreTime:
-        """Begin."""
-
-        def timed(*arguments: object) -> object:
-            before = time.thread_time_ns()
-            found = self._entry("drive")(*arguments)
-            self.spent += time.thread_time_ns() - before
-            return found
-
-        runs.entry = lambda name: timed if name == "drive" else self._entry(name)  # type: ignore[assignment]
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """End."""
-        runs.entry = self._entry
-
-
-def derivatives(options: argparse.Namespace) -> list[Row]:
-    """Runs that derivatives of a prediction cost, in the core and of the whole fit; medians of turns, CPU time."""
-    valve = default_valve().exact()
-    plant = ValvePlant([strokes()], valve)
-    ways = [
-        Direction({name: 1.0}, 1e-7 * max(1e-3, abs(value)))
-        for name, value in valve.declared().items()
-        if name not in ("coil_resistance", "reference_voltage", "release_voltage")
-    ]
-    counts = (1, 4, 8, 16)
-    works: list[Work] = [partial(plant.predict, {}), *(partial(plant.sensitivities, {}, ways[:n]) for n in counts)]
-    spent: list[list[tuple[int, int]]] = [[] for _ in works]
-    with CoreTime() as timer:
-        for _ in range(2 * options.turns):
-            for work, found in zip(works, spent, strict=True):
-                timer.spent, before = 0, time.thread_time_ns()
-                work()
-                found.append((time.thread_time_ns() - before, timer.spent))
-    (run, core_run), *derived = (np.median(found[1:], axis=0).tolist() for found in spent)
-    rows = [Row(("a plain run", f"{1e-3 * core_run:.0f} µs", f"{1e-3 * run:.0f} µs", ""))]
-    for count, (whole, in_core) in zip(counts, derived, strict=True):
-        most = {4: 2.2, 16: 5.8}.get(count)
-        cells = (f"by {count} numbers", f"{in_core / core_run:.2f} runs", f"{whole / run:.2f} runs")
-        rows.append(Row((*cells, f"{most or ''}"), most and in_core / core_run <= most))
-    return rows
-
-
 FIT: Final = """
 import json, sys, time
 from valve_sim.identification.diagnosis.identify import identify
@@ -370,7 +314,6 @@ def long(options: argparse.Namespace) -> list[Row]:
 
 PARTS: Final[Mapping[str, Part]] = {
     "core": Part("runs at 1e-8, one thread", ("what", "each", "wanted"), core),
-    "derivatives": Part("derivatives, CPU time", ("what", "in the core", "of a fit", "wanted"), derivatives),
     "live": Part("live steps of 1 ms", ("what", "each", "wanted"), live),
     "start": Part("start, CPU s", ("effects", "imports", "first result, empty cache", "full cache"), start),
     "commands": Part("what a user waits for", ("what", "measured", "wanted"), commands),
