@@ -70,8 +70,8 @@ def read_plant(plant: Path, logs: Sequence[Path]) -> OwnPlant:
     return plant_with_data
 
 
-def _say_better_conventions(found: Fit) -> None:
-    """Say on stderr which inputs the data contradict that they are held, or straight, between samples."""
+def say_better_conventions(found: Fit) -> None:
+    """Say on stderr which inputs of a plant the data contradict that they are held, or straight, between samples."""
     from valve_sim.identification.diagnosis.own_plant import better_conventions
     from valve_sim.identification.reporting.units import quantity
 
@@ -106,7 +106,7 @@ def identify_own(plant: Path, logs: Sequence[Path], free: str | None, output: Pa
     names = None if free is None else [part.strip() for part in free.split(",") if part.strip()]
     with progress_bar() as progress:
         result = identify_plant(machine, names, progress)
-    _say_better_conventions(result.fit)
+    say_better_conventions(result.fit)
     report = plant_identification_json(result)
     write_whole(written[0], json_text(report))
     effects = tuple(dict.fromkeys(name.partition(".")[0] for name in result.intervals if "." in name))
@@ -114,37 +114,6 @@ def identify_own(plant: Path, logs: Sequence[Path], free: str | None, output: Pa
     content = changed_plant(machine.file, result.fit, effects)
     save_plant(written[1], content, provenance(plant, [f"identified: {', '.join(values)}"]))
     print_report(report, plant_identification_text(result), written, as_json)
-
-
-def diagnose_own(
-    plant: Path,
-    logs: Sequence[Path],
-    holdout: Sequence[Path],
-    budget: float,
-    output: Path,
-    plot: Path | None,
-    *,
-    as_json: bool,
-) -> None:
-    """`diagnose --plant`."""
-    from valve_sim.files.whole_files import refuse_unwritable
-    from valve_sim.identification.diagnosis.run import diagnose_plant
-    from valve_sim.identification.estimation.budget import Budget
-    from valve_sim.identification.reporting.diagnosis_json import to_json
-    from valve_sim.identification.reporting.files import FILES, write_diagnosis
-    from valve_sim.identification.reporting.text import diagnosis_text
-
-    planned = [*(output / file for file in FILES), *([] if plot is None else [plot])]
-    plan_files(*planned)
-    refuse_unwritable(*planned)
-    machine = read_plant(plant, logs)
-    other = read_plant(plant, holdout) if holdout else None
-    with progress_bar() as progress:
-        result = diagnose_plant(machine, other, progress, Budget.of_seconds(budget))
-    _say_better_conventions(result.after.fit)
-    report = to_json(result)
-    written = write_diagnosis(result, output, provenance(plant, [report["verdict"]["summary"]]), plot, report=report)
-    print_report(report, diagnosis_text(result), written, as_json)
 
 
 def validate_own(
