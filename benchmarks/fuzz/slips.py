@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -292,38 +292,29 @@ SLIPS: Final[Sequence[Slip]] = (
 """What may be wrong with a plant."""
 
 
-def try_plant(number: int) -> Outcome:
-    """Diagnose a plant with a slip."""
+def try_plant(number: int) -> str:
+    """Diagnose a plant with a slip; see `refused`."""
     random = np.random.default_rng([number, 1])
     plant = Heater(number)
     spoilt = SLIPS[number % len(SLIPS)](plant, random)
-    return _tried(lambda: diagnose_plant(spoilt if isinstance(spoilt, Heater) else plant, None), "Heater")
+    return refused(lambda: diagnose_plant(spoilt if isinstance(spoilt, Heater) else plant, None), "Heater")
 
 
-class Outcome(NamedTuple):
-    """What became of a case: the error's type, its message, and what is not as it should be, or nothing."""
+def refused(work: Callable[[], object], place: str) -> str:
+    """'refused'.
 
-    error: str
-    message: str
-    fault: str
-
-
-def _tried(work: Callable[[], object], place: str) -> Outcome:
-    """One typed error of one line that names the place is as it should be."""
+    Raises:
+        AssertionError: it does not end in a typed error of one line, short enough to be read, that names the place.
+        Exception: what else it ends in.
+    """
     try:
         work()
     except ValveError as error:
         message = str(error)
-        faults = {
-            "more than one line": "\n" in message,
-            "no word": not message.strip(),
-            "too long": len(message) > LONGEST,
-            "does not say where": place not in message,
-        }
-        return Outcome(type(error).__name__, message, ", ".join(name for name, found in faults.items() if found))
-    except Exception as error:
-        return Outcome(type(error).__name__, str(error), "not a typed error")
-    return Outcome("", "", "no error")
+        is_a_line = message.strip() and "\n" not in message and len(message) <= LONGEST
+        assert is_a_line and place in message, f"{place}: {message[:200]!r}"
+        return "refused"
+    raise AssertionError("nothing was refused")
 
 
 # -- recordings --------------------------------------------------------------------------------------------------------
@@ -405,8 +396,8 @@ def _few(trace: Trace, count: int) -> Trace:
     return Trace(trace.source, trace.drive, trace.times[:count], trace.pilot_position[:count])
 
 
-def try_recording(number: int) -> Outcome:
-    """Diagnose, identify or validate with a spoilt recording."""
+def try_recording(number: int) -> str:
+    """Diagnose, identify or validate with a spoilt recording; see `refused`."""
     spoilt = DEFECTS[number % len(DEFECTS)](sound_trace(), np.random.default_rng([number, 2]))
     # A recording may be given bare, where a list is wanted.
     traces = [spoilt] if isinstance(spoilt, Trace) and spoilt is not sound_trace() else spoilt
@@ -416,4 +407,4 @@ def try_recording(number: int) -> Outcome:
         lambda: identify(traces, valve),
         lambda: validate(traces, valve),
     )
-    return _tried(uses[number % len(uses)], "")
+    return refused(uses[number % len(uses)], "")
