@@ -21,13 +21,15 @@ from typing import Any, Final
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
+from nodes.ros_process import cpu_seconds
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
 from benchmarks.common import parser
-from benchmarks.nodes.driver import processor_seconds, program, ros, running, spinning, values_of
+from benchmarks.nodes.driver import program, ros, running, values_of
 
 RATE: Final = 1000.0
 COMMAND_RATE: Final = 50.0
@@ -100,10 +102,22 @@ class Listener:
 
 @contextlib.contextmanager
 def listening() -> Iterator[Listener]:
-    """A listener in a thread of its own."""
-    listener = Listener()
-    with spinning(listener.node):
+    """A listener in a thread of its own, so that it hears while this one sends."""
+    listener, executor = Listener(), SingleThreadedExecutor()
+    executor.add_node(listener.node)
+
+    def spin() -> None:
+        with contextlib.suppress(ExternalShutdownException):
+            executor.spin()
+
+    thread = threading.Thread(target=spin, daemon=True)
+    thread.start()
+    try:
         yield listener
+    finally:
+        executor.shutdown()
+        thread.join(2.0)
+        listener.node.destroy_node()
 
 
 def share_of_floor(duration: float) -> float:
@@ -116,9 +130,9 @@ def share_of_floor(duration: float) -> float:
 
 def share_while(process_id: int, work: Any) -> float:
     """What a process takes of a core while something is done here, %."""
-    used, start = processor_seconds(process_id), time.monotonic()
+    used, start = cpu_seconds(process_id), time.monotonic()
     work()
-    return 100.0 * (processor_seconds(process_id) - used) / (time.monotonic() - start)
+    return 100.0 * (cpu_seconds(process_id) - used) / (time.monotonic() - start)
 
 
 def seconds_to_first_messages(**environment: str) -> tuple[float, float]:
