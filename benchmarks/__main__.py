@@ -58,7 +58,7 @@ GROUPS: Final[dict[str, tuple[Benchmark, ...]]] = {
     ),
     "Monitor": (
         Benchmark("monitoring", "", "hours", "healthy growth --strokes 10000 --seeds 10"),
-        Benchmark("monitoring", "", "hours", "laboratory"),
+        Benchmark("monitoring", "", "hours", "laboratory --strokes 3340"),
         Benchmark("monitoring", "", "half an hour", "coil gas --seeds 12"),
         Benchmark("monitoring", "", "an hour", "sweep"),
     ),

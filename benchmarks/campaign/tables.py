@@ -378,24 +378,25 @@ def measured_table(outcomes: Outcomes) -> str:
 
     Each mistake of a laboratory is a row of its own. Empty where there are none.
     """
-    rows: dict[str, list[float]] = {}
-    wanted: dict[str, float | None] = {}
+    rows: dict[str, list[tuple[float, float | None]]] = {}
     for outcome in outcomes:
         case = outcome.case
-        if case.family not in {"mistake", *BENCHES}:
-            continue
         family = f"{case.family}, {case.laboratory}" if case.family == "mistake" else case.family
-        for figure, value in outcome.measured.items():
+        for figure, value in outcome.measured.items() if case.family in {"mistake", *BENCHES} else ():
             if value is not None:
-                rows.setdefault(f"{family:<50}{figure}", []).append(value)
-                wanted[f"{family:<50}{figure}"] = FAMILIES[case.family].wanted.get(figure)
-    lines = [f"{'family':<50}{'figure':<42}{'median':>10}{'largest':>10}{'within':>10}{'of':>5}"]
-    for name, values in rows.items():
-        most = wanted[name]
-        within = "" if most is None else f"{sum(abs(value) <= most for value in values)}"
-        middle, largest = statistics.median(values), max(values, key=abs)
-        lines.append(f"{name:<92}{middle:>10.4g}{largest:>10.4g}{within:>10}{len(values):>5}")
-    return "\n".join(lines) if rows else ""
+                wanted = FAMILIES[case.family].wanted.get(figure)
+                rows.setdefault(f"{family:<50}{figure}", []).append((value, wanted))
+
+    def within(found: Sequence[tuple[float, float | None]]) -> str:
+        return "" if found[0][1] is None else f"{sum(abs(value) <= (most or 0.0) for value, most in found)}"
+
+    columns = (
+        Column("median", 10, lambda found: f"{statistics.median(value for value, _ in found):.4g}"),
+        Column("largest", 10, lambda found: f"{max((value for value, _ in found), key=abs):.4g}"),
+        Column("within", 10, within),
+        Column("of", 5, lambda found: f"{len(found)}"),
+    )
+    return in_columns(f"{'family':<50}figure", 92, columns, dict(rows)) if rows else ""
 
 
 def reliability_table(outcomes: Outcomes) -> str:
