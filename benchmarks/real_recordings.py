@@ -73,7 +73,7 @@ def examine(name: str, logs: Sequence[Path], models: Sequence[Model]) -> None:
         for model in models:
             added = [f"{effect}.{own}" for effect in model.effects for own in plant.file.effects[effect].parameters]
             print(answer("identify", *given, "--free", ",".join((*plant.base, *added)), "--output", folder), end="")
-            errors = json.loads(Path(folder, "identify.json").read_text(encoding="utf-8"))["rmse"].values()
+            errors = json.loads(Path(folder, "identify.json").read_text(encoding="utf-8"))["signals"]
             left = math.hypot(*(own["after"] for own in errors)) / signal
             published = f"; published: {model.published}" if model.published else ""
             print(f"{100.0 * left:.2f} % of the signal are left{published}\n", flush=True)

@@ -90,7 +90,7 @@ def diagnose(
             )
         _diagnose_events(events, output, as_json)
         return
-    declared = chosen_params(plant, params)
+    params = chosen_params(plant, params)
     from valve_sim.files.whole_files import refuse_unwritable
     from valve_sim.identification.diagnosis.run import diagnose as diagnose_valve
     from valve_sim.identification.diagnosis.run import diagnose_plant
@@ -104,16 +104,16 @@ def diagnose(
     refuse_unwritable(*planned)
     if plant is not None and is_own(plant):
         machine, other = read_plant(plant, bags), read_plant(plant, holdout) if holdout else None
-        find = partial(diagnose_plant, machine, other)
+        work = partial(diagnose_plant, machine, other)
     else:
-        valve = declared_valve(declared)
+        valve = declared_valve(params)
         traces, held_out = read_recordings(bags, name, valve), read_recordings(holdout, name, valve)
-        find = partial(diagnose_valve, traces, held_out, valve)
+        work = partial(diagnose_valve, traces, held_out, valve)
     with progress_bar() as progress:
-        result = find(progress, Budget.of_seconds(budget))
+        result = work(progress, Budget.of_seconds(budget))
     say_better_conventions(result.after.fit)
     report = to_json(result)
-    origin = provenance(declared, [report["verdict"]["summary"]])
+    origin = provenance(params, [report["verdict"]["summary"]])
     written = write_diagnosis(result, output, origin, plot, report=report)
     print_report(report, diagnosis_text(result), written, as_json)
 
