@@ -7,7 +7,6 @@ rate. A limit of what does nothing at infinity, such as a sensor's bandwidth, co
 from __future__ import annotations
 
 import argparse
-import copy
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
@@ -120,17 +119,24 @@ SWEPT_BEFORE, MOST, SOON, BEYOND = 30, 20, 5, 3.0
 SWEPT_HEALTHY: Final = 2000
 
 
-def sweep_one(tank: str, rate: float, options: argparse.Namespace) -> list[tuple[str, bool]]:
-    """A line for each change of one valve; of those that exceed `BEYOND` limits, whether the alarm came soon."""
+def commissioned(tank: str, rate: float) -> PositionRig:
+    """A valve of the station that has stroked without fault; the same each time."""
     rig = PositionRig(LiveValve(22, jitter=0.0, rate=rate), load_valve(config_path(f"{tank}.yaml")))
     for _ in range(SWEPT_BEFORE):
         rig.stroke()
+    return rig
+
+
+def sweep_one(tank: str, rate: float, options: argparse.Namespace) -> list[tuple[str, bool]]:
+    """A line for each change of one valve; of those that exceed `BEYOND` limits, whether the alarm came soon."""
+    rig = commissioned(tank, rate)
     limits, plant = rig.limits(len(LEVELS))
     counted = []
     for change in changes(rig.valve.exact(), limits, plant, options.limits):
         if options.only not in change.words:
             continue
-        own = copy.deepcopy(rig)
+        # What the compiled model holds cannot be copied, so that each change has a monitor that strokes anew.
+        own = commissioned(tank, rate)
         first = own.live.strokes
         rows = iter(own.live.row(MOST, change.effects, **change.parameters))  # type: ignore[arg-type]
         own.stroke = partial(_next_of, own, rows)  # type: ignore[method-assign]
