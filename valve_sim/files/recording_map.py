@@ -71,6 +71,11 @@ class Source:
     clock: str = ""
 
     @property
+    def path(self) -> str:
+        """Dotted path of its numbers in a message, of a joint that of the list; empty: the only number."""
+        return self.field or ("position" if self.joint else "")
+
+    @property
     def name(self) -> str:
         """Where this entry is, for messages."""
         if self.column:

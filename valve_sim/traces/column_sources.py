@@ -15,7 +15,6 @@ from valve_sim.files.recording_map import CLOCKS, Source
 from valve_sim.model.core.own.units import parse_unit
 from valve_sim.traces.clocks import SECOND
 from valve_sim.traces.errors import TraceError
-from valve_sim.traces.message_fields import missing_field, stamps_of, values_of
 from valve_sim.traces.storage import Recording, read_recording
 
 Array = NDArray[np.float64]
@@ -136,8 +135,10 @@ class BagTopics:
         self._path, self._map = path, map_reader
         self._clock = map_reader.choice("clock", clock, ("", *CLOCKS))
         sources = {name: self._source(str(name), own) for name, own in entries.items()}
-        topics = frozenset(source.topic for source in sources.values())
-        self._recording: Recording = read_recording(path, lambda types: dict.fromkeys(topics & set(types)), topics)
+        fields: dict[str, set[str]] = {}
+        for source in sources.values():
+            fields.setdefault(source.topic, set()).add(source.path)
+        self._recording: Recording = read_recording(path, lambda _: fields)
         self.findings = list(self._recording.findings)
         stamped = {name: self._stamped(str(name), source) for name, source in sources.items()}
         self._begins = min((int(stamps[0]) for stamps, _ in stamped.values()), default=0)
@@ -166,12 +167,11 @@ class BagTopics:
             raise self._map.fail(
                 f"{key}.topic", f"{topic} is not in {self._path}; it has {', '.join(sorted(types)[:20])}; name one"
             )
-        times, decoded = self._recording.decoded(self._path, topic)
-        readings, without = values_of(decoded.batches, len(times), source)
+        messages = self._recording.topic(self._path, topic)
+        readings, without = messages.values(source)
         if without is not None and np.isnan(readings).all():
-            raise self._map.fail(key, f"topic {topic} of {self._path} {missing_field(without, source)}")
-        batches = () if source.clock == "bag" else decoded.batches
-        stamps, is_stamped = stamps_of(batches, times, may_be_zero=False)
+            raise self._map.fail(key, f"topic {topic} of {self._path} {without.what_lacks(source)}")
+        stamps, _, is_stamped = messages.stamps(source.clock)
         if source.clock == "header" and not is_stamped.any():
             raise self._map.fail(
                 f"{key}.clock", f"header, but the messages of {topic} ({types[topic]}) have no stamp; use clock: bag"
