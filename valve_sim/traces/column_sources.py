@@ -11,15 +11,13 @@ from numpy.typing import NDArray
 
 from valve_sim.files.data_tables import TABLE_SUFFIXES, DataTable, open_table
 from valve_sim.files.entries import Entries, short
-from valve_sim.files.recording_map import CLOCKS, Source
-from valve_sim.model.core.own.units import parse_unit
+from valve_sim.files.recording_map import CLOCKS, Source, time_axis
 from valve_sim.traces.clocks import SECOND
 from valve_sim.traces.errors import TraceError
 from valve_sim.traces.storage import Recording, read_recording
 
 Array = NDArray[np.float64]
 
-TIME_KEYS: Final = ("column", "unit", "rate")
 FEWEST: Final = 3
 """Samples of different times, of which a quantity has at least so many."""
 
@@ -100,23 +98,10 @@ class TableRows:
         """(n,) the times of the rows that count, s, and which of the table's rows these are."""
         if found is None:
             raise self._map.fail("time", "is missing; add time: {column: t, unit: s} or time: {rate: 1000}")
-        if isinstance(found, str | int) and not isinstance(found, bool):
-            found = {"column": found}
-        if not isinstance(found, Mapping):
-            raise self._map.fail("time", f"found {short(found)}, expected {{column: t, unit: s}} or {{rate: 1000}}")
-        self._map.check_keys("time", found, TIME_KEYS)
-        if ("rate" in found) == ("column" in found):
-            raise self._map.fail("time", f"found {short(dict(found))}, expected either column: or rate:")
-        if "rate" in found:
-            rate = self._map.number("time.rate", found["rate"])
-            if rate <= 0.0:
-                raise self._map.fail("time.rate", f"found {rate:g}, expected rows a second above 0")
-            count = len(self._table.column(self._table.names[0]))
-            return np.arange(count) / rate, np.ones(count, dtype=bool)
-        unit = self._map.unit("time.unit", found.get("unit", "s"))
-        if unit.dimension != parse_unit("s").dimension:
-            raise self._map.fail("time.unit", f"found {found['unit']!r}, expected one of time: s, ms, us, min")
-        times, kept, repeated = self._table.row_times(self._named("time.column", found["column"]), unit.factor)
+        axis = time_axis(self._map, found)
+        if axis.column:
+            self._named("time.column", axis.column)
+        times, kept, repeated = self._table.row_times(axis)
         if repeated:
             self.findings.append(f"dropped {repeated} rows with the time of the row before")
         if kept.sum() < FEWEST:

@@ -217,7 +217,8 @@ def write_bags(
             ]
             order = np.argsort(times, kind="stable")
             for message, time in zip(order.tolist(), times[order].tolist(), strict=True):
-                recorder.write(*encoded[message], time)
+                topic, message_type, payload = encoded[message]
+                recorder.write(topic, message_type, payload, time)
 
 
 class _Messages(NamedTuple):
