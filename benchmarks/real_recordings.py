@@ -19,7 +19,7 @@ import numpy as np
 
 from benchmarks.common import parser
 from valve_sim.files.plant_files import load_plant
-from valve_sim.identification.diagnosis.own_plant import PlantIdentification, identify_plant
+from valve_sim.identification.diagnosis.identify import Identification, identify_plant
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose_plant
 from valve_sim.identification.plants.own import OwnPlant
 from valve_sim.identification.plants.root_mean_square import root_mean_square
@@ -93,13 +93,13 @@ def machine(data: Path, name: str, tables: Sequence[Path]) -> OwnPlant:
     return OwnPlant(load_plant(EXAMPLES / f"{name}.yaml"), recordings)
 
 
-def fitted(plant: OwnPlant, effects: Sequence[str]) -> PlantIdentification:
+def fitted(plant: OwnPlant, effects: Sequence[str]) -> Identification:
     """The machine with some effects, fitted to all recordings."""
     added = [f"{effect}.{own}" for effect in effects for own in plant.file.effects[effect].parameters]
     return identify_plant(plant, (*plant.base, *added))
 
 
-def share_left(found: PlantIdentification) -> float:
+def share_left(found: Identification) -> float:
     """Norm of what is left over the norm of what was measured: the figure that Janot et al. publish."""
     plant = found.plant
     channels, shown = plant.channels, plant.predict(found.fit.values)
@@ -107,7 +107,7 @@ def share_left(found: PlantIdentification) -> float:
     return left / math.hypot(*(root_mean_square(own.kept(own.data)) for own in channels))
 
 
-def lines_of(rung: Rung, found: PlantIdentification) -> list[str]:
+def lines_of(rung: Rung, found: Identification) -> list[str]:
     """What one model comes to."""
     errors = [own.after for own in found.errors]
     unit = found.errors[0].unit

@@ -478,7 +478,7 @@ def test_a_command_stopped_late_says_what_it_wrote_and_what_not(
     def stops(*arguments: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("valve_sim.files.parameter_files.save_valve", stops)
+    monkeypatch.setattr("valve_sim.identification.reporting.files.save_valve", stops)
     result = run("identify", strokes, "--output", tmp_path)
     written, missing = tmp_path / "identify.json", tmp_path / "identified.yaml"
     assert result.exit_code == 130

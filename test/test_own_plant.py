@@ -78,7 +78,7 @@ def test_from_a_data_sheet_to_a_checked_model(folder: Path) -> None:
     given = ("log.csv", "--plant", "plant.yaml", "--map", "map.yaml")
     found = ran(folder, "validate", *given)
     assert found.exit_code == 1, found.output
-    assert "outside the tolerance" in found.output
+    assert re.search(r"position: OUTSIDE .*FAILED", found.output, re.DOTALL), found.output
 
     found = ran(folder, "diagnose", *given, "--output", "out")
     assert found.exit_code == 0, found.output

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 from valve_sim.cli import main
 from valve_sim.files.plant_files import PlantFileError, load_plant, plant_from
-from valve_sim.identification.diagnosis.own_plant import identify_plant
+from valve_sim.identification.diagnosis.identify import identify_plant
 from valve_sim.identification.plants.own import OwnPlant
 from valve_sim.identification.plants.own_simulation import simulate_plant
 from valve_sim.traces.columns import Columns, read

@@ -11,7 +11,7 @@ from plants import magnet
 from plants.driven_axis import MASS, moves
 
 from valve_sim.files.plant_files import load_plant
-from valve_sim.identification.diagnosis.own_plant import identify_plant
+from valve_sim.identification.diagnosis.identify import identify_plant
 from valve_sim.identification.diagnosis.run import diagnose_plant
 from valve_sim.identification.plants.own import OwnPlant
 from valve_sim.identification.reporting.diagnosis_json import to_json

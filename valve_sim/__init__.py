@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from valve_sim.api import (
         Diagnosis,
         Identification,
-        PlantIdentification,
         Residual,
         Simulation,
         diagnose,
@@ -48,7 +47,6 @@ __all__ = [
     "Diagnosis",
     "Drive",
     "Identification",
-    "PlantIdentification",
     "Residual",
     "Simulation",
     "Valve",
@@ -66,7 +64,6 @@ _MODULES: Final = {
     "api": (
         "Diagnosis",
         "Identification",
-        "PlantIdentification",
         "Residual",
         "Simulation",
         "diagnose",

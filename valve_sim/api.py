@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, fields, replace
 from importlib.util import find_spec
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, overload
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,9 +23,8 @@ from valve_sim.files.plant_files import PlantFile
 from valve_sim.files.recording_map import MapError, RecordingMap, is_of_valve, map_from
 from valve_sim.files.yaml_files import read_yaml
 from valve_sim.identification.diagnosis import identify as fitting
-from valve_sim.identification.diagnosis import outcome, own_plant, run
+from valve_sim.identification.diagnosis import outcome, run
 from valve_sim.identification.estimation.budget import Budget
-from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.plants.own import OwnPlant
 from valve_sim.identification.plants.protocol import primary_channels
@@ -49,7 +48,6 @@ if TYPE_CHECKING:
 __all__ = [
     "Diagnosis",
     "Identification",
-    "PlantIdentification",
     "Residual",
     "Simulation",
     "diagnose",
@@ -59,7 +57,6 @@ __all__ = [
 ]
 
 Progress = Callable[[str, float], None]
-Result = TypeVar("Result")
 
 
 class Residual(NamedTuple):
@@ -140,18 +137,27 @@ class Simulation(Response):
         return draw_simulation(self, self.drive, self.valve, "simulated valve")
 
 
-class _Refitted:
-    """The figures of a fit that every identification shows."""
+@dataclass(frozen=True, repr=False)
+class Identification(fitting.Identification):
+    """Refitted parameters: the fields of `valve_sim.identification.diagnosis.identify.Identification`.
 
-    fit: Fit
-    intervals: Mapping[str, Interval]
+    `print` shows what `valve-sim identify` prints, and `valve` is the identified valve.
+    """
+
+    def __str__(self) -> str:
+        """The report for a terminal."""
+        from valve_sim.identification.reporting.identification import identification_text
+
+        return identification_text(self)
 
     def _repr_html_(self) -> str:
-        """The refitted parameters as a table."""
-        return _html_table(f"{len(self.intervals)} parameters refitted", self._rows())
+        """The refitted parameters as a table, with what was found beside it."""
+        from valve_sim.identification.reporting.findings import remarks
+
+        said = "".join(f"<p>{html.escape(words)}</p>" for words in remarks(self.findings))
+        return _html_table(f"{len(self.intervals)} parameters refitted", self._rows()) + said
 
     def _rows(self) -> list[dict[str, Any]]:
-        plant = self.fit.problem.plant
         return [
             {
                 "parameter": name,
@@ -159,8 +165,8 @@ class _Refitted:
                 "stderr": own.stderr,
                 "low": own.low,
                 "high": own.high,
-                "declared": plant.declared(name),
-                "unit": plant.parameter(name).unit,
+                "declared": self.plant.declared(name),
+                "unit": self.plant.parameter(name).unit,
             }
             for name, own in self.intervals.items()
         ]
@@ -177,40 +183,15 @@ class _Refitted:
         """The residual beside the sensor's noise; a Matplotlib figure, which `savefig` writes."""
         return _plot_of(self.fit, "refitted")
 
+    def write(self, folder: Path | str) -> tuple[Path, ...]:
+        """Write identify.json and identified.yaml; returns their paths.
 
-@dataclass(frozen=True, repr=False)
-class Identification(_Refitted, fitting.Identification):
-    """Refitted parameters: the fields of `valve_sim.identification.diagnosis.identify.Identification`.
+        Raises:
+            ValveError: a file cannot be written.
+        """
+        from valve_sim.identification.reporting.files import write_identification
 
-    `print` shows what `valve-sim identify` prints.
-    """
-
-    def __str__(self) -> str:
-        """The report for a terminal."""
-        from valve_sim.identification.reporting.identification import identification_text
-
-        return identification_text(self)
-
-    def _repr_html_(self) -> str:
-        """The refitted parameters as a table, with what was found beside it."""
-        from valve_sim.identification.reporting.findings import remarks
-
-        said = "".join(f"<p>{html.escape(words)}</p>" for words in remarks(self.findings))
-        return super()._repr_html_() + said
-
-
-@dataclass(frozen=True, repr=False)
-class PlantIdentification(_Refitted, own_plant.PlantIdentification):
-    """Refitted parameters of a machine of a plant file: `fit`, `intervals` and `errors` before and after by output.
-
-    `print` shows what `valve-sim identify --plant` prints.
-    """
-
-    def __str__(self) -> str:
-        """The report for a terminal."""
-        from valve_sim.identification.reporting.own_plant import plant_identification_text
-
-        return plant_identification_text(self)
+        return write_identification(self, folder, "made in Python by valve_sim.identify")
 
 
 @dataclass(frozen=True, repr=False)
@@ -323,33 +304,13 @@ def read(
     return read_trace(path, valve, map_from(found, where))
 
 
-@overload
-def identify(
-    recordings: Trace | Sequence[Trace],
-    machine: Valve | None = None,
-    free: Sequence[str] | None = None,
-    *,
-    progress: Progress | None = None,
-) -> Identification: ...
-
-
-@overload
-def identify(
-    recordings: Columns | Sequence[Columns],
-    machine: PlantFile,
-    free: Sequence[str] | None = None,
-    *,
-    progress: Progress | None = None,
-) -> PlantIdentification: ...
-
-
 def identify(
     recordings: Trace | Columns | Sequence[Trace] | Sequence[Columns],
     machine: Valve | PlantFile | None = None,
     free: Sequence[str] | None = None,
     *,
     progress: Progress | None = None,
-) -> Identification | PlantIdentification:
+) -> Identification:
     """Refit parameters of a declared machine to recordings.
 
     Args:
@@ -365,10 +326,10 @@ def identify(
         TraceError: a recording cannot be used, say because its positions are in mm and taken for m.
     """
     if isinstance(machine, PlantFile):
-        refitted = own_plant.identify_plant(OwnPlant(machine, _columns(recordings, machine)), free, progress)
-        return PlantIdentification(**_fields_of(refitted))
-    declared = machine or default_valve()
-    found = fitting.identify(_usable(recordings, declared), declared, free, progress)
+        found = fitting.identify_plant(OwnPlant(machine, _columns(recordings, machine)), free, progress)
+    else:
+        declared = machine or default_valve()
+        found = fitting.identify(_usable(recordings, declared), declared, free, progress)
     return Identification(**_fields_of(found))
 
 

@@ -12,7 +12,7 @@ from plants.recording import Recorder
 
 from identification.recordings import recorded
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.diagnosis.identify import primary_rmse
+from valve_sim.identification.diagnosis.identify import signal_errors
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
 from valve_sim.identification.estimation import problem as problems
 from valve_sim.identification.estimation.noise import LARGEST_ORDER, Noise, estimate_noise, quiet_windows
@@ -130,10 +130,10 @@ def test_a_fit_and_its_errors_are_as_without(pair: tuple[Trace, Trace], monkeypa
         assert abs(found.values[name] - sound.values[name]) < 0.5 * sound.stderr(name)
         assert found.stderr(name) == pytest.approx(sound.stderr(name), rel=0.2)
     assert rmse(found) == pytest.approx(rmse(sound), rel=0.04)  # less of the motion is seen
-    by_rows = primary_rmse(found.problem.plant, found.values)
+    by_rows = signal_errors(found)[0].after
     assert by_rows == pytest.approx(rmse(found), rel=0.01)
-    monkeypatch.setattr("valve_sim.identification.diagnosis.identify.LONG", 0)
-    assert primary_rmse(found.problem.plant, found.values) == pytest.approx(by_rows, rel=1e-9)
+    monkeypatch.setattr(problems, "LONG", 0)
+    assert signal_errors(found)[0].after == pytest.approx(by_rows, rel=1e-9)
 
 
 def test_a_fit_at_2_khz_is_as_without_where_lines_miss_the_motion() -> None:

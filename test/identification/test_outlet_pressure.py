@@ -165,7 +165,7 @@ def test_pressure_beside_positions_is_judged_by_itself() -> None:
     positions, _ = shown()
     trace = replace(recorded(5), times=TIMES, pilot_position=positions)
     right = validate([trace], gas_valve())
-    assert [replay.trace.primary_signal for replay in right.replays] == ["position", "outlet_pressure"]
+    assert [replay.title for replay in right.replays] == ["pilot plunger", "outlet pressure"]
     # 20 % more volume: the plungers wait longer for another pressure.
     wrong = validate([trace], gas_valve(outlet_volume=1.2e-5))
     assert [replay.passed for replay in wrong.replays] == [False, False]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import click
@@ -17,7 +18,7 @@ from valve_sim.cli.options import (
     plant_option,
     valve_option,
 )
-from valve_sim.cli.own_plant import chosen_params, diagnose_own, is_own
+from valve_sim.cli.own_plant import chosen_params, is_own, read_plant, say_better_conventions
 from valve_sim.cli.printing import print_report, progress_bar, provenance
 from valve_sim.cli.reading import declared_valve, read_recordings
 from valve_sim.files.ledger import plan_files
@@ -90,23 +91,27 @@ def diagnose(
         _diagnose_events(events, output, as_json)
         return
     params = chosen_params(plant, params)
-    if plant is not None and is_own(plant):
-        diagnose_own(plant, bags, holdout, budget, output, plot, as_json=as_json)
-        return
     from valve_sim.files.whole_files import refuse_unwritable
-    from valve_sim.identification.diagnosis.run import diagnose as trace_residual
+    from valve_sim.identification.diagnosis.run import diagnose as diagnose_valve
+    from valve_sim.identification.diagnosis.run import diagnose_plant
     from valve_sim.identification.estimation.budget import Budget
     from valve_sim.identification.reporting.diagnosis_json import to_json
     from valve_sim.identification.reporting.files import FILES, write_diagnosis
     from valve_sim.identification.reporting.text import diagnosis_text
 
-    valve = declared_valve(params)
     planned = [*(output / file for file in FILES), *([] if plot is None else [plot])]
     plan_files(*planned)
     refuse_unwritable(*planned)
-    traces, held_out = read_recordings(bags, name, valve), read_recordings(holdout, name, valve)
+    if plant is not None and is_own(plant):
+        machine, other = read_plant(plant, bags), read_plant(plant, holdout) if holdout else None
+        work = partial(diagnose_plant, machine, other)
+    else:
+        valve = declared_valve(params)
+        traces, held_out = read_recordings(bags, name, valve), read_recordings(holdout, name, valve)
+        work = partial(diagnose_valve, traces, held_out, valve)
     with progress_bar() as progress:
-        result = trace_residual(traces, held_out, valve, progress, Budget.of_seconds(budget))
+        result = work(progress, Budget.of_seconds(budget))
+    say_better_conventions(result.after.fit)
     report = to_json(result)
     origin = provenance(params, [report["verdict"]["summary"]])
     written = write_diagnosis(result, output, origin, plot, report=report)

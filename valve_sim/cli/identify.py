@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,10 +19,9 @@ from valve_sim.cli.options import (
     plant_option,
     valve_option,
 )
-from valve_sim.cli.own_plant import chosen_params, identify_own, is_own
-from valve_sim.cli.printing import print_report, progress_bar, provenance, refuse
+from valve_sim.cli.own_plant import chosen_params, is_own, read_plant, say_better_conventions
+from valve_sim.cli.printing import Progress, print_report, progress_bar, provenance, refuse
 from valve_sim.cli.reading import chosen_map, declared_valve, read_recordings
-from valve_sim.files.json_text import json_text
 from valve_sim.files.ledger import plan_files
 
 if TYPE_CHECKING:
@@ -78,10 +78,11 @@ def identify(
 
     Read on: docs/tutorials/first_diagnosis.md, docs/theory/estimation.md
     """
-    from valve_sim.files.parameter_files import save_valve
-    from valve_sim.files.whole_files import refuse_unwritable, write_whole
-    from valve_sim.identification.diagnosis.identify import identify as refit
+    from valve_sim.files.whole_files import refuse_unwritable
+    from valve_sim.identification.diagnosis.identify import identify as identify_valve
+    from valve_sim.identification.diagnosis.identify import identify_plant
     from valve_sim.identification.plants.valve import dampings_of
+    from valve_sim.identification.reporting.files import IDENTIFIED, write_identification
     from valve_sim.identification.reporting.identification import identification_json, identification_text
 
     free = ",".join(freed) if freed else None
@@ -89,30 +90,27 @@ def identify(
     if not shared and cluster != (None, None):
         raise click.UsageError("--scheduler and --workers are for --shared", click.get_current_context())
     params = chosen_params(plant, params)
+    names = None if free is None else tuple(dict.fromkeys(part.strip() for part in free.split(",") if part.strip()))
+    if names == ():
+        refuse(f"--free {free!r}: found no name, expected names separated by commas")
+    planned = [output / file for file in IDENTIFIED]
+    plan_files(*planned)
+    refuse_unwritable(*planned)
     if plant is not None and is_own(plant):
         if shared:
             refuse("--shared: is for valves; give all recordings of a plant to one identify")
-        identify_own(plant, bags, free, output, as_json=as_json)
-        return
-    written = (output / "identify.json", output / "identified.yaml")
-    plan_files(*written)
-    refuse_unwritable(*written)
-    valve = declared_valve(params)
-    names = dampings_of(valve)
-    if free is not None:
-        names = tuple(dict.fromkeys(part.strip() for part in free.split(",") if part.strip()))
-    if not names:
-        refuse(f"--free {free!r}: found no name, expected names separated by commas")
-    if shared:
-        result = _shared(bags, (valve, names, name), cluster)
+        work = partial(identify_plant, read_plant(plant, bags), names)
     else:
-        traces = read_recordings(bags, name, valve)
-        with progress_bar() as progress:
-            result = refit(traces, valve, names, progress)
+        valve = declared_valve(params)
+        if shared:
+            work = partial(_shared, bags, (valve, names or dampings_of(valve), name), cluster)
+        else:
+            work = partial(identify_valve, read_recordings(bags, name, valve), valve, names)
+    with progress_bar() as progress:
+        result = work(progress)
+    say_better_conventions(result.fit)
     report = identification_json(result)
-    write_whole(output / "identify.json", json_text(report))
-    values = [f"{key}: {interval.value:.6g} ± {interval.stderr:.2g}" for key, interval in result.intervals.items()]
-    save_valve(output / "identified.yaml", result.valve, provenance(params, [f"identified: {', '.join(values)}"]))
+    written = write_identification(result, output, provenance(params, []), report=report)
     print_report(report, identification_text(result), written, as_json)
 
 
@@ -120,6 +118,7 @@ def _shared(
     bags: tuple[Path, ...],
     what: tuple[Valve, tuple[str, ...], str | None],
     cluster: tuple[str | None, int | None],
+    progress: Progress,
 ) -> Identification:
     """In this process, or, where workers are asked for, on them."""
     is_here = cluster == (None, None)
@@ -129,7 +128,7 @@ def _shared(
     from valve_sim.fleet.shared import Recordings, identify_shared
     from valve_sim.warm import warm
 
-    with progress_bar() as progress, Cluster(*cluster, before=warm) as started:
+    with Cluster(*cluster, before=warm) as started:
         connect = (lambda: None) if is_here else started.client
         paths = [bag.absolute() for bag in dict.fromkeys(bags)]
         return identify_shared(paths, Recordings(*what, chosen_map()), connect, progress)

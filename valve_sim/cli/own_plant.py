@@ -8,16 +8,12 @@ from typing import TYPE_CHECKING
 
 import click
 
-from valve_sim.cli.printing import print_json, print_report, progress_bar, provenance, refuse, shown
+from valve_sim.cli.printing import print_json, refuse, shown
 from valve_sim.cli.reading import chosen_map_file
-from valve_sim.files.ledger import plan_files
 
 if TYPE_CHECKING:
     from valve_sim.identification.estimation.result import Fit
     from valve_sim.identification.plants.own import OwnPlant
-
-OUTSIDE = 1
-"""Exit code where a recording is outside the tolerance."""
 
 
 def is_own(plant: Path | None) -> bool:
@@ -70,9 +66,9 @@ def read_plant(plant: Path, logs: Sequence[Path]) -> OwnPlant:
     return plant_with_data
 
 
-def _say_better_conventions(found: Fit) -> None:
+def say_better_conventions(found: Fit) -> None:
     """Say on stderr which inputs the data contradict that they are held, or straight, between samples."""
-    from valve_sim.identification.diagnosis.own_plant import better_conventions
+    from valve_sim.identification.diagnosis.conventions import better_conventions
     from valve_sim.identification.reporting.units import quantity
 
     for own in better_conventions(found):
@@ -85,88 +81,6 @@ def _say_better_conventions(found: Fit) -> None:
             ),
             err=True,
         )
-
-
-def identify_own(plant: Path, logs: Sequence[Path], free: str | None, output: Path, *, as_json: bool) -> None:
-    """`identify --plant`."""
-    from valve_sim.files.json_text import json_text
-    from valve_sim.files.whole_files import refuse_unwritable, write_whole
-    from valve_sim.identification.diagnosis.own_plant import identify_plant
-    from valve_sim.identification.reporting.own_plant import (
-        changed_plant,
-        plant_identification_json,
-        plant_identification_text,
-        save_plant,
-    )
-
-    written = (output / "identify.json", output / "identified.yaml")
-    plan_files(*written)
-    refuse_unwritable(*written)
-    machine = read_plant(plant, logs)
-    names = None if free is None else [part.strip() for part in free.split(",") if part.strip()]
-    with progress_bar() as progress:
-        result = identify_plant(machine, names, progress)
-    _say_better_conventions(result.fit)
-    report = plant_identification_json(result)
-    write_whole(written[0], json_text(report))
-    effects = tuple(dict.fromkeys(name.partition(".")[0] for name in result.intervals if "." in name))
-    values = [f"{key}: {own.value:.6g} ± {own.stderr:.2g}" for key, own in result.intervals.items()]
-    content = changed_plant(machine.file, result.fit, effects)
-    save_plant(written[1], content, provenance(plant, [f"identified: {', '.join(values)}"]))
-    print_report(report, plant_identification_text(result), written, as_json)
-
-
-def diagnose_own(
-    plant: Path,
-    logs: Sequence[Path],
-    holdout: Sequence[Path],
-    budget: float,
-    output: Path,
-    plot: Path | None,
-    *,
-    as_json: bool,
-) -> None:
-    """`diagnose --plant`."""
-    from valve_sim.files.whole_files import refuse_unwritable
-    from valve_sim.identification.diagnosis.run import diagnose_plant
-    from valve_sim.identification.estimation.budget import Budget
-    from valve_sim.identification.reporting.diagnosis_json import to_json
-    from valve_sim.identification.reporting.files import FILES, write_diagnosis
-    from valve_sim.identification.reporting.text import diagnosis_text
-
-    planned = [*(output / file for file in FILES), *([] if plot is None else [plot])]
-    plan_files(*planned)
-    refuse_unwritable(*planned)
-    machine = read_plant(plant, logs)
-    other = read_plant(plant, holdout) if holdout else None
-    with progress_bar() as progress:
-        result = diagnose_plant(machine, other, progress, Budget.of_seconds(budget))
-    _say_better_conventions(result.after.fit)
-    report = to_json(result)
-    written = write_diagnosis(result, output, provenance(plant, [report["verdict"]["summary"]]), plot, report=report)
-    print_report(report, diagnosis_text(result), written, as_json)
-
-
-def validate_own(
-    plant: Path, logs: Sequence[Path], tolerance: float | None, junit: Path | None, *, as_json: bool
-) -> int:
-    """`validate --plant`: the exit code."""
-    from valve_sim.files.whole_files import refuse_unwritable, write_whole
-    from valve_sim.identification.diagnosis.own_plant import validate_plant
-    from valve_sim.identification.reporting.own_plant import (
-        plant_validation_json,
-        plant_validation_junit,
-        plant_validation_text,
-    )
-
-    planned = [path for path in (junit,) if path]
-    plan_files(*planned)
-    refuse_unwritable(*planned)
-    result = validate_plant(read_plant(plant, logs), tolerance)
-    if junit is not None:
-        write_whole(junit, shown(plant_validation_junit(result)))
-    print_report(plant_validation_json(result), plant_validation_text(result), planned, as_json)
-    return 0 if result.passed else OUTSIDE
 
 
 def simulate_own(

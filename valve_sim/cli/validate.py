@@ -17,7 +17,7 @@ from valve_sim.cli.options import (
     plant_option,
     valve_option,
 )
-from valve_sim.cli.own_plant import chosen_params, is_own, validate_own
+from valve_sim.cli.own_plant import chosen_params, is_own, read_plant
 from valve_sim.cli.printing import print_report, progress_bar, refuse, shown
 from valve_sim.cli.reading import declared_valve, read_recordings
 from valve_sim.files.ledger import plan_files
@@ -100,33 +100,34 @@ def validate(
     params = chosen_params(plant, params)
     if plant is not None and is_own(plant):
         given = (("--tolerance-um", tolerance_um), ("--tolerance-ma", tolerance_ma), ("--tolerance-kpa", tolerance_kpa))
-        for option, value in (*given, ("--plot", plot)):
+        for option, value in given:
             if value is not None:
                 refuse(f"{option}: is for valves; with --plant give --tolerance, in SI")
-        return validate_own(plant, bags, tolerance, junit, as_json=as_json)
-    if params is None:
+    elif params is None:
         raise click.UsageError("Missing option '--params' or '--plant'.", click.get_current_context())
-    if tolerance is not None:
+    elif tolerance is not None:
         refuse("--tolerance: is for --plant; give --tolerance-um, --tolerance-ma or --tolerance-kpa")
     if plot is not None and len(bags) > 1:
         raise click.UsageError("--plot draws one recording; give one BAG", click.get_current_context())
     from valve_sim.files.whole_files import refuse_unwritable, write_whole
     from valve_sim.identification.reporting.validation import validation_json, validation_junit, validation_text
+    from valve_sim.identification.validation.own_plant import validate_plant
     from valve_sim.identification.validation.replay import validate as replay
 
     planned = [path for path in (junit, plot) if path]
     plan_files(*planned)
     refuse_unwritable(*planned)
-    valve = declared_valve(params)
-    traces = read_recordings(bags, name, valve)
-    position_tolerance = None if tolerance_um is None else 1e-6 * tolerance_um
-    current_tolerance = None if tolerance_ma is None else 1e-3 * tolerance_ma
-    pressure_tolerance = None if tolerance_kpa is None else 1e3 * tolerance_kpa
-    with progress_bar() as progress:
-        result = replay(
-            traces, valve, position_tolerance, current_tolerance=current_tolerance,
-            pressure_tolerance=pressure_tolerance, progress=progress,
-        )  # fmt: skip
+    if plant is not None and is_own(plant):
+        result = validate_plant(read_plant(plant, bags), tolerance)
+    else:
+        valve = declared_valve(params)
+        traces = read_recordings(bags, name, valve)
+        with progress_bar() as progress:
+            result = replay(
+                traces, valve, None if tolerance_um is None else 1e-6 * tolerance_um,
+                current_tolerance=None if tolerance_ma is None else 1e-3 * tolerance_ma,
+                pressure_tolerance=None if tolerance_kpa is None else 1e3 * tolerance_kpa, progress=progress,
+            )  # fmt: skip
     if junit is not None:
         write_whole(junit, shown(validation_junit(result)))  # XML has no place for control characters
     if plot is not None:

@@ -19,13 +19,14 @@ from valve_sim.files.recording_map import RecordingMap
 from valve_sim.fleet.cluster import run_batches
 from valve_sim.identification.diagnosis.identify import (
     Identification,
+    SignalError,
     check_free,
     fit_beside_errors,
     lacking_by,
-    primary_rmse,
-    rmse_of_kind,
+    signal_errors,
+    starts_of,
 )
-from valve_sim.identification.estimation.declared_values import declared_values, estimated_valve
+from valve_sim.identification.estimation.declared_values import declared_values
 from valve_sim.identification.estimation.findings import findings
 from valve_sim.identification.estimation.intervals import covariance_interval
 from valve_sim.identification.estimation.problem import Problem
@@ -33,7 +34,6 @@ from valve_sim.identification.estimation.recorded_errors import RecordedError, b
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.shared_fit import ReducedNormalEquations, as_fit, fit_shared, share_of
 from valve_sim.identification.estimation.structured_noise import StructuredNoise, structured_noise
-from valve_sim.identification.plants.protocol import primary_channels
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.selection.posterior import Evidence
 from valve_sim.model import SimulationError, Valve, ValveError
@@ -105,21 +105,11 @@ class Task(NamedTuple):
     own: Mapping[str, float]
 
 
-class Errors(NamedTuple):
-    """Of one recording: samples that are judged, and rms errors of them and of the current, as declared and now."""
-
-    samples: int
-    before: float
-    after: float
-    current_before: float
-    current_after: float
-
-
 class Told(NamedTuple):
     """What a recording says of the machine, and how far it is missed."""
 
     share: ReducedNormalEquations
-    errors: Errors
+    errors: tuple[SignalError, ...]
 
 
 Found = TypeVar("Found", Told, Learned)
@@ -160,13 +150,7 @@ def told(task: Task, recordings: Recordings) -> Told:
     """
     problem = recordings.problem(task.path, task.learned)
     share, left = share_of(problem, recordings.free, task.values, task.own)
-    plant, own = problem.plant, share.own
-    # What the sensors' errors add is the same as declared and refitted.
-    added = left.errors_of(left.left.condensed()) if problem.errors is not None else ()
-    samples = sum(plant.channels[index].count for index in primary_channels(plant))
-    now = {**task.values, **own}
-    judged = primary_rmse(plant, own, added), primary_rmse(plant, now, added)
-    return Told(share, Errors(samples, *judged, *(rmse_of_kind(plant, values, "current") for values in (own, now))))
+    return Told(share, signal_errors(left, {**task.values, **share.own}))
 
 
 def learned(path: Path, recordings: Recordings) -> Learned:
@@ -175,9 +159,9 @@ def learned(path: Path, recordings: Recordings) -> Learned:
     Raises:
         ValveError: it cannot be used, or the machine cannot be simulated.
     """
-    best, evidence = fit_beside_errors(
-        [recordings.trace(path)], recordings.valve, recordings.free, lambda what, fraction: None
-    )
+    traces, valve, free = [recordings.trace(path)], recordings.valve, recordings.free
+    starts = starts_of(traces, valve, free)
+    best, evidence = fit_beside_errors(ValvePlant(traces, valve), free, starts, lambda what, fraction: None)
     problem = best.problem
     return Learned(
         best.values,
@@ -210,7 +194,7 @@ def identify_shared(
     say = progress or (lambda what, fraction: None)
     alone: list[Learned] = _all(paths, learned, recordings, connect, lambda done: say("each by itself", done))
     own: list[Mapping[str, float]] = [one.values for one in alone]
-    latest: list[Errors] = []
+    latest: list[SignalError] = []
     steps = 0
 
     def shares_at(values: Mapping[str, float]) -> list[ReducedNormalEquations]:
@@ -218,7 +202,7 @@ def identify_shared(
         steps += 1
         tasks = [Task(path, one, dict(values), start) for path, one, start in zip(paths, alone, own, strict=True)]
         found: list[Told] = _all(tasks, told, recordings, connect, lambda done: say(f"step {steps}", done))
-        latest[:] = [one.errors for one in found]
+        latest[:] = [error for one in found for error in one.errors]
         own[:] = [one.share.own for one in found]
         return [one.share for one in found]
 
@@ -257,27 +241,16 @@ def _path(item: Task | Path) -> Path:
 
 
 def _identification(
-    result: Fit, errors: Sequence[Errors], paths: Sequence[Path], alone: Sequence[Learned]
+    result: Fit, errors: Sequence[SignalError], paths: Sequence[Path], alone: Sequence[Learned]
 ) -> Identification:
-    plant = result.problem.plant
-    assert isinstance(plant, ValvePlant)
-    rms = [_together(errors, index) for index in range(1, 5)]
     # Recordings of one machine: what it lacks acts in all of them, or in none.
     together = Evidence(
         math.fsum(one.evidence.plain for one in alone), math.fsum(one.evidence.unnamed for one in alone)
     )
-    lacking = lacking_by(plant, together)
+    lacking = lacking_by(result.problem.plant, together)
     recording = {} if lacking else {source: own for one in alone for source, own in one.recording.items()}
     intervals = {name: covariance_interval(result, name) for name in result.free}
     remarks = findings(result, intervals, itertools.chain(*recording.values()), lacking)
     return Identification(
-        result, intervals, {}, remarks, rms[0], rms[1],
-        estimated_valve(result, plant), tuple(str(path) for path in paths), declared_values(result), rms[2], rms[3],
-        recording=recording,
+        result, intervals, {}, remarks, tuple(errors), tuple(map(str, paths)), declared_values(result), recording
     )  # fmt: skip
-
-
-def _together(errors: Sequence[Errors], index: int) -> float:
-    """Root mean square over all recordings; NaN where one has none."""
-    samples = sum(one.samples for one in errors)
-    return math.sqrt(sum(one.samples * one[index] ** 2 for one in errors) / samples)

@@ -9,10 +9,11 @@ import yaml
 from scipy.integrate import solve_ivp
 
 from valve_sim.files.plant_files import plant_from
-from valve_sim.identification.diagnosis.own_plant import identify_plant, validate_plant
+from valve_sim.identification.diagnosis.identify import identify_plant
 from valve_sim.identification.diagnosis.run import diagnose_plant
 from valve_sim.identification.plants.own import OwnPlant, quiet_samples
 from valve_sim.identification.plants.protocol import Direction
+from valve_sim.identification.validation.own_plant import validate_plant
 from valve_sim.traces.columns import Column, Columns
 
 TANK = """
@@ -161,13 +162,13 @@ def test_what_a_start_takes_up_of_a_wrong_value_is_not_allowed_for() -> None:
         derivatives: {x: drift}
         outputs: {x: {value: x, unit: m, noise: 0.001}}
     """)
-    parts = validate_plant(OwnPlant(plant_from(content, "p"), [Columns("log", columns)])).parts
-    assert len(parts) == 8
-    assert all(part.passed for part in parts)  # it drifts by one tolerance
-    for part in parts:
-        inside = np.minimum((8.0 * times / times[-1]).astype(int), 7) == part.group
+    (found,) = validate_plant(OwnPlant(plant_from(content, "p"), [Columns("log", columns)])).replays
+    assert len(found.strokes) == 8
+    assert found.passed  # it drifts by one tolerance
+    for number, part in enumerate(found.strokes):
+        inside = np.minimum((8.0 * times / times[-1]).astype(int), 7) == number
         left = 0.01 * (times[inside] - 5.0)
-        assert part.allowed == pytest.approx(3.0 * np.sqrt(1e-6 + np.mean(np.square(left))), rel=0.01)
+        assert part.errors.tolerance == pytest.approx(3.0 * np.sqrt(1e-6 + np.mean(np.square(left))), rel=0.01)
 
 
 def test_jagged_motion_is_no_rest() -> None:

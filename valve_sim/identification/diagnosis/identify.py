@@ -4,23 +4,34 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from operator import attrgetter
 from typing import Final
 
 import numpy as np
 
 from valve_sim.identification.estimation.declared_values import DeclaredValue, declared_values, estimated_valve
 from valve_sim.identification.estimation.findings import Finding, findings, leaves_more_than_noise
+from valve_sim.identification.estimation.gram import sum_squares
 from valve_sim.identification.estimation.intervals import Interval, profile_interval
 from valve_sim.identification.estimation.linearised import Linearised
-from valve_sim.identification.estimation.problem import LONG, Problem
+from valve_sim.identification.estimation.problem import Problem, is_long
 from valve_sim.identification.estimation.recorded_errors import RecordedError, by_recording, with_uncertain_sizes
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.estimation.state_of_recording import with_forgotten_errors, with_learned_errors
-from valve_sim.identification.plants.protocol import Array, Channel, InPieces, Nuisance, Plant, primary_channels
-from valve_sim.identification.plants.root_mean_square import root_mean_square
+from valve_sim.identification.plants.check import check_plant
+from valve_sim.identification.plants.own import OwnPlant
+from valve_sim.identification.plants.protocol import (
+    Array,
+    Channel,
+    InPieces,
+    Nuisance,
+    Piece,
+    Plant,
+    primary_channels,
+)
 from valve_sim.identification.plants.stroke_choice import choose_strokes
 from valve_sim.identification.plants.valve import ValvePlant, dampings_of
 from valve_sim.identification.plants.valve_model import GAS_NAMES
@@ -41,6 +52,25 @@ DECIDED: Final = 100.0
 Progress = Callable[[str, float], None]
 
 
+@dataclass(frozen=True)
+class SignalError:
+    """How far off one signal of one recording is, SI.
+
+    Attributes:
+        signal: name of its channel. kind: of its sensor. unit: of all that follows.
+        count: of its measurements. before, after: rms of measured less shown, as declared and refitted.
+        noise: of the sensor, standard deviation.
+    """
+
+    signal: str
+    kind: str
+    unit: str
+    count: int
+    before: float
+    after: float
+    noise: float
+
+
 @dataclass(frozen=True, repr=False)
 class Identification:
     """The outcome of `identify`.
@@ -49,11 +79,8 @@ class Identification:
         fit: the best fit. intervals: by freed parameter, 95 % by profile likelihood.
         profiles: by freed parameter, (value, rise of χ²) pairs.
         findings: what the data do not determine, and what else is off.
-        rmse_before, rmse_after: of what is judged, as declared and refitted: m, of the pilot plunger's position; A, of
-            the current where no position was recorded; Pa, of the outlet's pressure where that is all there is.
-        current_before, current_after: A, of the current; NaN where none was recorded.
-        pressure_before, pressure_after: Pa, of the outlet's pressure; likewise.
-        valve: the identified valve.
+        errors: of each signal of each recording.
+        sources: what was read.
         declared: values that are known within a tolerance, as declared and as the data see them.
         recording: the errors of each recording, by its source; none where the model lacks something, which they would
             imitate.
@@ -63,15 +90,9 @@ class Identification:
     intervals: Mapping[str, Interval]
     profiles: Mapping[str, list[tuple[float, float]]]
     findings: tuple[Finding, ...]
-    rmse_before: float
-    rmse_after: float
-    valve: Valve
-    sources: tuple[str, ...] = field(default=())
+    errors: tuple[SignalError, ...]
+    sources: tuple[str, ...] = ()
     declared: tuple[DeclaredValue, ...] = ()
-    current_before: float = math.nan
-    current_after: float = math.nan
-    pressure_before: float = math.nan
-    pressure_after: float = math.nan
     recording: Mapping[str, tuple[RecordedError, ...]] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -80,10 +101,53 @@ class Identification:
         return f"Identification({', '.join(found)})"
 
     @property
+    def plant(self) -> Plant:
+        """The machine with its recordings."""
+        return self.fit.problem.plant
+
+    @property
+    def valve(self) -> Valve:
+        """The identified valve.
+
+        Raises:
+            TypeError: the machine is no valve.
+        """
+        if not isinstance(self.plant, ValvePlant):
+            raise TypeError("only an identification of a valve has an identified valve")
+        return estimated_valve(self.fit, self.plant)
+
+    @property
     def primary_channel(self) -> Channel:
         """One of the channels by which the errors are meant."""
-        plant = self.fit.problem.plant
-        return plant.channels[primary_channels(plant)[0]]
+        return self.plant.channels[primary_channels(self.plant)[0]]
+
+    @property
+    def rmse_before(self) -> float:
+        """Of the signals by which a model is judged, as declared: m of a position; else A or Pa."""
+        return self.error_of(self.primary_channel.kind).before
+
+    @property
+    def rmse_after(self) -> float:
+        """Of the signals by which a model is judged, refitted."""
+        return self.error_of(self.primary_channel.kind).after
+
+    def error_of(self, kind: str) -> SignalError:
+        """All signals of a kind of sensor together.
+
+        Raises:
+            KeyError: nothing of the kind was recorded.
+        """
+        own = [error for error in self.errors if error.kind == kind]
+        if not own:
+            raise KeyError(kind)
+        count = sum(error.count for error in own)
+
+        def together(rms: Callable[[SignalError], float]) -> float:
+            squares = math.fsum(error.count * rms(error) ** 2 for error in own if error.count)
+            return math.sqrt(squares / count) if count else math.nan
+
+        before, after = together(attrgetter("before")), together(attrgetter("after"))
+        return SignalError(kind, kind, own[0].unit, count, before, after, own[0].noise)
 
 
 def identify(
@@ -106,14 +170,42 @@ def identify(
         TraceError: a recording has columns that cannot be used, say with NaN in them.
     """
     check_traces(traces)
-    say = progress or (lambda what, fraction: None)
     free = dampings_of(valve) if free is None else free
     check_free(free, valve)
+    say = progress or (lambda what, fraction: None)
     say("start", 0.0)
-    best, evidence = fit_beside_errors(traces, valve, free, say)
-    lacking = lacking_by(best.problem.plant, evidence)
-    best, plant = with_uncertain_sizes(best), best.problem.plant
-    assert isinstance(plant, ValvePlant)
+    # Before the data are prepared: what this takes of memory is free again then.
+    starts = starts_of(traces, valve, free)
+    return _identified(ValvePlant(traces, valve), free, starts, [trace.source for trace in traces], say)
+
+
+def identify_plant(
+    plant: OwnPlant, free: Sequence[str] | None = None, progress: Progress | None = None
+) -> Identification:
+    """Refit parameters of a machine of a plant file to its recordings.
+
+    Args:
+        plant: with its recordings. free: parameters, or `<effect>.<parameter>`; default: those declared `free`.
+        progress: told what is being done, and the fraction done.
+
+    Raises:
+        ParameterError: a name that cannot be freed, or none.
+        SimulationError: the declared machine cannot be simulated.
+    """
+    free = tuple(plant.base if free is None else free)
+    plant.check_free(free)
+    check_plant(plant)
+    starts, sources = starts_about_declared(plant, free), [recording.source for recording in plant.recordings]
+    return _identified(plant, free, starts, sources, progress or (lambda what, fraction: None))
+
+
+def _identified(
+    plant: Plant, free: Sequence[str], starts: Sequence[Mapping[str, float]], sources: Sequence[str], say: Progress
+) -> Identification:
+    """Fit, intervals, errors and findings, of any machine."""
+    best, evidence = fit_beside_errors(plant, free, starts, say)
+    lacking = lacking_by(plant, evidence)
+    best = with_uncertain_sizes(best)
     recording = {} if lacking else by_recording([best])
     intervals: dict[str, Interval] = {}
     profiles: dict[str, list[tuple[float, float]]] = {}
@@ -121,35 +213,75 @@ def identify(
         say(f"interval of {name}", 0.5 + 0.5 * index / len(free))
         intervals[name], profiles[name] = profile_interval(best, name)
     say("done", 1.0)
-    offsets = {nuisance.name: best.values[nuisance.name] for nuisance in best.nuisances if not nuisance.is_of_machine}
-    # What the sensors' errors add is the same as declared and refitted.
-    added = () if best.problem.errors is None else best.errors_of(best.left.condensed())
-    found = findings(best, intervals, itertools.chain(*recording.values()), lacking)
     return Identification(
-        best, intervals, profiles, found, primary_rmse(plant, offsets, added), primary_rmse(plant, best.values, added),
-        estimated_valve(best, plant), tuple(trace.source for trace in traces), declared_values(best),
-        rmse_of_kind(plant, offsets, "current"), rmse_of_kind(plant, best.values, "current"),
-        rmse_of_kind(plant, offsets, "pressure"), rmse_of_kind(plant, best.values, "pressure"), recording,
+        best, intervals, profiles, findings(best, intervals, itertools.chain(*recording.values()), lacking),
+        signal_errors(best), tuple(sources), declared_values(best), recording,
     )  # fmt: skip
 
 
+def signal_errors(result: Fit, values: Mapping[str, float] | None = None) -> tuple[SignalError, ...]:
+    """How far off each channel is, as declared and with the values of a fit.
+
+    Errors of the recordings that were estimated along are the same in both.
+
+    Args:
+        result: the fit. values: in place of its own.
+    """
+    problem, plant = result.problem, result.problem.plant
+    values = result.values if values is None else values
+    own = {nuisance.name: values[nuisance.name] for nuisance in result.nuisances if not nuisance.is_of_machine}
+    added = () if problem.errors is None else result.errors_of(result.left.condensed())
+    before, after = (_rms_of_channels(plant, there, added) for there in (own, values))
+    return tuple(
+        SignalError(one.name, one.kind, one.unit, one.count, before[index], after[index], problem.noise_of(index).sigma)
+        for index, one in enumerate(plant.channels)
+    )
+
+
+def _rms_of_channels(plant: Plant, values: Mapping[str, float], added: Sequence[Array]) -> list[float]:
+    """Root mean square of measured less shown of each channel.
+
+    Args:
+        plant: the machine and its data. values: by which it is simulated.
+        added: (n,) by channel what the errors of its sensors add to what they show; empty: nothing.
+    """
+    squares = [list[float]() for _ in plant.channels]
+    for piece in _pieces(plant, values):
+        channel, own = plant.channels[piece.channel], piece.samples
+        shown = piece.shown + added[piece.channel][own] if added else piece.shown
+        squares[piece.channel].append(sum_squares(channel.kept(channel.data[own] - shown, own)))
+    return [
+        math.sqrt(math.fsum(own) / channel.count) if channel.count else math.nan
+        for own, channel in zip(squares, plant.channels, strict=True)
+    ]
+
+
+def _pieces(plant: Plant, values: Mapping[str, float]) -> Iterator[Piece]:
+    """What each channel would show; of a long recording never all of it at once."""
+    pieces = plant.pieces(values, ()) if isinstance(plant, InPieces) and is_long(plant) else None
+    if pieces is not None:
+        yield from pieces
+        return
+    for index, shown in enumerate(plant.predict(values)):
+        yield Piece(index, 0, shown, np.empty((len(shown), 0)))
+
+
 def fit_beside_errors(
-    traces: Sequence[Trace], valve: Valve, free: Sequence[str], say: Progress
+    plant: Plant, free: Sequence[str], starts: Sequence[Mapping[str, float]], say: Progress
 ) -> tuple[Fit, Evidence]:
     """The best fit, with the errors of the recordings as large as they are beside it.
 
     Args:
-        traces: measured strokes. valve: the declared valve. free: parameters to refit. say: told the progress, to 0.3.
+        plant: the machine with its recordings. free: parameters to refit. starts: of fits.
+        say: told the progress, to 0.3.
 
     Returns:
         The fit, and the evidence of it and of something unnamed beside it. Where that is likely, errors are as large as
         they are before the data are asked.
 
     Raises:
-        SimulationError: the declared valve cannot be simulated.
+        SimulationError: the declared machine cannot be simulated.
     """
-    # Before the data are prepared: what this takes of memory is free again then.
-    starts = starts_of(traces, valve, free)
     say("noise", 0.0)
 
     def fitted(problem: Problem, begun: Fit | None) -> Fit:
@@ -157,9 +289,13 @@ def fit_beside_errors(
             return best_fit(problem, free, [begun.values], lambda fraction: None)
         return best_fit(problem, free, starts, lambda fraction: say("fit", 0.3 * fraction))
 
-    problem, best = with_learned_errors(Problem(ValvePlant(traces, valve)).condensed(), fitted)
+    problem, best = with_learned_errors(Problem(plant).condensed(), fitted)
+    if any(noise.samples == 0 for noise in problem.noises.values()):
+        # Of a machine that is never still the noise is what the fit leaves.
+        problem = problem.with_noise_left_by(best.values)
+        best = best_fit(problem, free, [best.values], lambda fraction: None)
     evidence = evidence_beside(best)
-    if lacking_by(problem.plant, evidence) and problem.errors is not None:
+    if lacking_by(plant, evidence) and problem.errors is not None:
         # Beside what it lacks, learned errors would imitate that.
         best = fitted(with_forgotten_errors(problem, best.values), None)
     return best, evidence
@@ -271,44 +407,6 @@ def best_of_starts(
         return best
     # Where it started is not what was found: it stays as declared.
     return fit(problem, free, {**best.values, **without_influence}, nuisances=nuisances)
-
-
-def primary_rmse(plant: Plant, values: Mapping[str, float], added: Sequence[Array] = ()) -> float:
-    """Root mean square of measured less predicted over the measurements of the channels by which a model is judged.
-
-    Args:
-        plant: the machine and its data. values: by which it is simulated.
-        added: (n,) by channel what the errors of its sensors add to what they show; empty: nothing.
-    """
-    return _rmse(plant, values, primary_channels(plant), added)
-
-
-def rmse_of_kind(plant: Plant, values: Mapping[str, float], kind: str) -> float:
-    """Root mean square of measured less predicted of all channels of a kind, in their unit; NaN without one."""
-    channels = [index for index, channel in enumerate(plant.channels) if channel.kind == kind]
-    return _rmse(plant, values, channels) if channels else math.nan
-
-
-def _rmse(plant: Plant, values: Mapping[str, float], channels: Sequence[int], added: Sequence[Array] = ()) -> float:
-    samples = sum(len(plant.channels[index].data) for index in channels)
-    pieces = plant.pieces(values, ()) if isinstance(plant, InPieces) and samples > LONG else None
-    if pieces is None:
-        shown = plant.predict(values)
-        if added:
-            shown = [own + error for own, error in zip(shown, added, strict=True)]
-        return root_mean_square(np.concatenate([_left(plant.channels[index], shown[index]) for index in channels]))
-    left = (
-        _left(plant.channels[piece.channel], piece.shown, piece.samples)
-        for piece in pieces
-        if piece.channel in channels
-    )
-    squares = math.fsum(float(np.sum(np.square(of_piece))) for of_piece in left)
-    return math.sqrt(squares / max(1, sum(plant.channels[index].count for index in channels)))
-
-
-def _left(channel: Channel, shown: Array, samples: slice = slice(None)) -> Array:
-    """Measured less shown of some of a channel's samples, but for those that are left out."""
-    return channel.kept(channel.data[samples] - shown, samples)
 
 
 def _started(plant: Plant, name: str, factor: float) -> float:

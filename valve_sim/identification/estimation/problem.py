@@ -215,7 +215,7 @@ class Problem:
     @property
     def is_long(self) -> bool:
         """Whether a fit only adds its residuals up."""
-        return _is_long(self.plant)
+        return is_long(self.plant)
 
     def _weight(self, index: int, takes_part: Mask | None) -> Array:
         channel = self.plant.channels[index]
@@ -246,7 +246,7 @@ class Problem:
         return weight
 
 
-def _is_long(plant: Plant) -> bool:
+def is_long(plant: Plant) -> bool:
     """Whether there are so many samples that a fit only adds residuals up, where the plant gives them in pieces."""
     return sum(len(channel.data) for channel in plant.channels) > LONG and isinstance(plant, InPieces)
 
@@ -262,7 +262,7 @@ def _noises(plant: Plant) -> dict[str, Noise]:
 
 def _humming(plant: Plant) -> set[str]:
     """Kinds of the channels whose hum fits estimate along; none of a long recording, whose errors have no columns."""
-    if not isinstance(plant, HasSensors) or _is_long(plant):
+    if not isinstance(plant, HasSensors) or is_long(plant):
         return set()
     with contextlib.suppress(SimulationError):
         return {plant.channels[index].kind for index in plant.sensors({})}

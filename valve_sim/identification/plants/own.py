@@ -32,8 +32,8 @@ from valve_sim.model.core.own.grammar import Expr, names_in, walk
 from valve_sim.model.core.own.simulation import Inputs, Machine, without_straight
 from valve_sim.model.core.own.system import Equations, EquationsError
 from valve_sim.model.core.own.units import dimension_words, same
-from valve_sim.model.errors import SimulationError
-from valve_sim.model.parameters import Parameter
+from valve_sim.model.errors import ParameterError, SimulationError
+from valve_sim.model.parameters import Parameter, closest
 from valve_sim.traces.columns import Column, Columns
 
 GROUPS: Final = 8
@@ -187,6 +187,25 @@ class OwnPlant(Plant):
         columns = self._shown(values, directions)[1]
         known = [self._delaying.isdisjoint(direction.slopes) for direction in directions]
         return Sensitivities(columns, np.array(known, dtype=bool))
+
+    def check_free(self, names: Sequence[str]) -> None:
+        """Check that these parameters, or `<effect>.<parameter>`, can be freed.
+
+        Raises:
+            ParameterError: there is none of such a name, or none is given.
+        """
+        known = [*self.file.parameters]
+        known += [f"{name}.{own}" for name, effect in self.file.effects.items() for own in effect.parameters]
+        if not names:
+            raise ParameterError(
+                f"{self.file.path}: frees nothing; write free: true beside a parameter, or give --free NAME"
+            )
+        for name in names:
+            if name not in known:
+                alike = closest(name, known)
+                raise ParameterError(
+                    f"{name}: cannot be freed, {self.file.path} has no such name; did you mean {alike}?"
+                )
 
     # -- simulation ----------------------------------------------------------------------------------------------------
 

@@ -8,7 +8,7 @@ from typing import Any
 from valve_sim.files.json_text import plain_mapping
 from valve_sim.identification.diagnosis.experiment_design import Recommendation
 from valve_sim.identification.diagnosis.run import Diagnosis, State
-from valve_sim.identification.plants.protocol import KEY_OF_UNIT, primary_channels
+from valve_sim.identification.plants.protocol import primary_channels
 from valve_sim.identification.plants.tolerances import GROUP
 from valve_sim.identification.reporting.declared_values import declared_json
 from valve_sim.identification.reporting.findings import interval_json, intervals_json
@@ -16,6 +16,7 @@ from valve_sim.identification.reporting.followed_positions import strokes_follow
 from valve_sim.identification.reporting.force_curves import Motion, force_curve, motion_of
 from valve_sim.identification.reporting.recording_state import recording_json
 from valve_sim.identification.reporting.summary import recording_advice, summarise
+from valve_sim.identification.reporting.units import in_unit
 from valve_sim.identification.reporting.wording import headline, meanings
 from valve_sim.identification.selection.force_maps import Unexplained
 
@@ -33,7 +34,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "schema": "valve_sim/diagnosis/2",
         "sources": list(diagnosis.sources),
         "unit": unit,
-        **_in_unit("noise", scale * problem.noise.sigma, unit),
+        **in_unit("noise", scale * problem.noise.sigma, unit),
         "before": _state_json(diagnosis.before, scale, unit),
         "verdict": {
             "kind": diagnosis.verdict.kind,
@@ -90,19 +91,15 @@ def recommendation_json(found: Recommendation) -> dict[str, Any]:
     }
 
 
-def _in_unit(name: str, value: Any, unit: str) -> dict[str, Any]:
-    return {name: value, f"{name}_{KEY_OF_UNIT[unit]}": value} if unit in KEY_OF_UNIT else {name: value}
-
-
 def _errors(train: float, holdout: float, scale: float, unit: str) -> dict[str, Any]:
-    return _in_unit("rmse", {"train": scale * train, "holdout": scale * holdout}, unit)
+    return in_unit("rmse", {"train": scale * train, "holdout": scale * holdout}, unit)
 
 
 def _state_json(state: State, scale: float, unit: str) -> dict[str, Any]:
     return {
         "parameters": intervals_json({name: i for name, i in state.intervals.items() if "." not in name}),
         **_errors(state.train_rmse, state.holdout_rmse, scale, unit),
-        **_in_unit(
+        **in_unit(
             "predicted", {"train": scale * state.train_predicted, "holdout": scale * state.holdout_predicted}, unit
         ),
         "white": state.adequacy.is_white,

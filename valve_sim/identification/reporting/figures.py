@@ -15,7 +15,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from valve_sim.files.channels import CHANNELS
 from valve_sim.files.whole_files import atomic_write
 from valve_sim.identification.estimation.static_force import StaticForce
 from valve_sim.identification.plants.protocol import Array
@@ -124,14 +123,14 @@ def plot_replay(path: Path | str, replay: Replay) -> None:
     times, measured = 1e3 * replay.measured.times, replay.measured.values
     above.plot(times, scale * measured, color=QUIET, linewidth=2.6, label="measured")
     above.plot(times, scale * replay.predicted, color=PILOT, linewidth=1.0, label="model")
-    above.set_ylabel(f"{CHANNELS[replay.trace.primary_signal].title}, {unit}")
+    above.set_ylabel(f"{replay.title}, {unit}")
     above.legend(loc="upper right", frameon=False)
     below.plot(times, scale * (measured - replay.predicted), color=MAIN, linewidth=0.7)
     for sign in (-1.0, 1.0):
         below.axhline(sign * scale * replay.tolerance, color=QUIET, linestyle="--", linewidth=0.8)
     below.set_ylabel(f"measured − model, {unit}")
     verdict = "within" if replay.passed else "outside"
-    title = f"{replay.trace.source}: {verdict} {three_digits(scale * replay.tolerance)} {unit} (dashed)"
+    title = f"{replay.source}: {verdict} {three_digits(scale * replay.tolerance)} {unit} (dashed)"
     _finish(figure, title, "time, ms")
     save_figure(figure, Path(path))
 

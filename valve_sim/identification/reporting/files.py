@@ -1,7 +1,4 @@
-"""The files that a diagnosis leaves behind: report.json, report.html, and a picture where one is asked for.
-
-Of a valve also corrected.yaml, and record_next.yaml where there is something to tell apart.
-"""
+"""The files that an identification and a diagnosis leave behind."""
 
 from __future__ import annotations
 
@@ -12,16 +9,48 @@ from typing import Any, Final
 from valve_sim.files.json_text import json_text
 from valve_sim.files.parameter_files import save_valve
 from valve_sim.files.whole_files import write_whole
+from valve_sim.identification.diagnosis.identify import Identification
 from valve_sim.identification.diagnosis.run import Diagnosis
 from valve_sim.identification.plants.own import OwnPlant
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.diagnosis_json import to_json
 from valve_sim.identification.reporting.html import draw_diagnosis, write_report
-from valve_sim.identification.reporting.own_plant import corrected_plant, save_plant
+from valve_sim.identification.reporting.identification import identification_json
+from valve_sim.identification.reporting.own_plant import changed_plant, corrected_plant, save_plant
 from valve_sim.identification.reporting.recording_profile import write_record_next
 
+IDENTIFIED: Final = ("identify.json", "identified.yaml")
+"""What `write_identification` writes."""
 FILES: Final = ("report.json", "report.html", "corrected.yaml")
 """Of a valve, in the order in which they are written; record_next.yaml follows where there is something to tell."""
+
+
+def write_identification(
+    result: Identification, directory: Path | str, provenance: str, *, report: Mapping[str, Any] | None = None
+) -> tuple[Path, ...]:
+    """Write the report and the refitted machine, each file whole or not at all.
+
+    Args:
+        result: of any machine. directory: made where it is missing.
+        provenance: where the values are from; the refitted values are added to it.
+        report: what `identification_json` made of it, if that is known.
+
+    Returns:
+        the files.
+
+    Raises:
+        ValveError: a file cannot be written.
+    """
+    data, machine = (Path(directory) / name for name in IDENTIFIED)
+    write_whole(data, json_text(identification_json(result) if report is None else report))
+    values = [f"{key}: {own.value:.6g} ± {own.stderr:.2g}" for key, own in result.intervals.items()]
+    origin = f"{provenance}\nidentified: {', '.join(values)}"
+    if isinstance(result.plant, OwnPlant):
+        effects = dict.fromkeys(name.partition(".")[0] for name in result.intervals if "." in name)
+        save_plant(machine, changed_plant(result.plant.file, result.fit, tuple(effects)), origin)
+    else:
+        save_valve(machine, result.valve, origin)
+    return data, machine
 
 
 def write_diagnosis(

@@ -3,50 +3,57 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from dataclasses import asdict
+from typing import Any, Final
 
 import numpy as np
 
 from valve_sim.files.json_text import plain_mapping
-from valve_sim.identification.diagnosis.identify import Identification
+from valve_sim.identification.diagnosis.identify import Identification, SignalError
 from valve_sim.identification.estimation.static_force import StaticForce
-from valve_sim.identification.plants.protocol import KEY_OF_UNIT
+from valve_sim.identification.plants.protocol import READABLE_UNITS
 from valve_sim.identification.reporting.declared_values import declared_json, declared_lines
 from valve_sim.identification.reporting.findings import interval_lines, intervals_json, remarks
 from valve_sim.identification.reporting.recording_state import recording_json, recording_lines
-from valve_sim.identification.reporting.units import three_digits
+from valve_sim.identification.reporting.units import in_unit, three_digits
 from valve_sim.model import DECLARED
 from valve_sim.model.tolerances import COVARIANCE_NAME
 
+_WORDS: Final = {"current": "the current", "pressure": "the outlet's pressure"}
+"""Kinds of signals of a valve, as a sentence has them; outputs of a plant file have their own names."""
+
 
 def identification_json(result: Identification) -> dict[str, Any]:
-    """The content of identify.json."""
-    noise = result.fit.problem.noises[result.primary_channel.kind]
-    scale, unit = result.primary_channel.readable
-    key = KEY_OF_UNIT[unit]
-    errors = {f"rmse_{key}": {"before": scale * result.rmse_before, "after": scale * result.rmse_after}}
-    if not math.isnan(result.current_after):
-        errors["rmse_ma"] = {"before": 1e3 * result.current_before, "after": 1e3 * result.current_after}
-    if not math.isnan(result.pressure_after):
-        errors["rmse_kpa"] = {"before": 1e-3 * result.pressure_before, "after": 1e-3 * result.pressure_after}
+    """The content of identify.json; errors in `unit`, as of report.json, and of each signal in SI."""
+    plant, channel = result.plant, result.primary_channel
+    noise = result.fit.problem.noises[channel.kind]
+    scale, unit = channel.readable
     report = {
         "schema": "valve_sim/identification/1",
         "sources": list(result.sources),
-        f"noise_{key}": scale * noise.sigma,
+        "unit": unit,
+        **in_unit("noise", scale * noise.sigma, unit),
         "noise": {
-            f"sigma_{key}": scale * noise.sigma,
+            **in_unit("sigma", scale * noise.sigma, unit),
             "colour": list(noise.coefficients),
-            f"quantisation_{key}": scale * noise.step,
+            **in_unit("quantisation", scale * noise.step, unit),
         },
         "parameters": intervals_json(result.intervals),
+        "units": {name: plant.parameter(name).unit for name in result.intervals},
         **declared_json(result.declared),
         "recording": recording_json(result.recording),
         "clock_offsets_us": [
             1e6 * result.fit.values[nuisance.name]
-            for nuisance in result.fit.problem.plant.nuisances
+            for nuisance in plant.nuisances
             if nuisance.name.startswith("clock_offset")
         ],
-        **errors,
+        "nuisances": {
+            own.name: {"estimate": result.fit.values[own.name], "unit": own.unit}
+            for own in result.fit.nuisances
+            if not own.is_of_machine
+        },
+        **_errors_json(result),
+        "signals": [asdict(own) for own in result.errors],
         "chi2_per_sample": result.fit.chi2 / result.fit.problem.effective_samples,
         "converged": result.fit.converged,
         "profiles": {
@@ -58,27 +65,39 @@ def identification_json(result: Identification) -> dict[str, Any]:
     return plain_mapping(report)
 
 
+def _errors_json(result: Identification) -> dict[str, Any]:
+    """Errors of all kinds of signals in the units in which they are read; of those of one unit the first one's."""
+    found: dict[str, Any] = {}
+    for own in (result.error_of(result.primary_channel.kind), *_others(result)):
+        scale, unit = READABLE_UNITS.get(own.unit, (1.0, own.unit))
+        found = {**in_unit("rmse", {"before": scale * own.before, "after": scale * own.after}, unit), **found}
+    return found
+
+
+def _others(result: Identification) -> list[SignalError]:
+    """What a model is not judged by, each kind of signal together."""
+    kinds = dict.fromkeys(own.kind for own in result.errors if own.kind != result.primary_channel.kind)
+    return [result.error_of(kind) for kind in kinds]
+
+
 def identification_text(result: Identification) -> str:
     """A report for the terminal: values, errors, declared values, and what the data do not determine."""
-    plant = result.fit.problem.plant
-    lines = interval_lines(plant, result.intervals, 30)
+    lines = interval_lines(result.plant, result.intervals, 30)
     lines += declared_lines(result.declared)
-    noise = result.fit.problem.noises[result.primary_channel.kind]
-    scale, unit = result.primary_channel.readable
-    lines.append(
-        f"{_change('residual', scale * result.rmse_before, scale * result.rmse_after, unit)}; "
-        f"sensor noise {three_digits(scale * noise.sigma)} {unit}"
-    )
-    if result.primary_channel.kind != "current" and not math.isnan(result.current_after):
-        lines.append(_change("residual of the current", 1e3 * result.current_before, 1e3 * result.current_after, "mA"))
-    if result.primary_channel.kind != "pressure" and not math.isnan(result.pressure_after):
-        before, after = 1e-3 * result.pressure_before, 1e-3 * result.pressure_after
-        lines.append(_change("residual of the outlet's pressure", before, after, "kPa"))
+    judged = result.error_of(result.primary_channel.kind)
+    lines.append(f"{_change('residual', judged)}; sensor noise {_readable(judged.noise, judged.unit)}")
+    lines += [_change(f"residual of {_WORDS.get(own.kind, own.kind)}", own) for own in _others(result)]
     return "\n".join([*lines, *recording_lines(result.recording), *remarks(result.findings)])
 
 
-def _change(name: str, before: float, after: float, unit: str) -> str:
-    return f"{name} {three_digits(before)} {unit} as declared, {three_digits(after)} {unit} refitted"
+def _change(name: str, own: SignalError) -> str:
+    before, after = _readable(own.before, own.unit), _readable(own.after, own.unit)
+    return f"{name} {before} as declared, {after} refitted"
+
+
+def _readable(value: float, si: str) -> str:
+    scale, unit = READABLE_UNITS.get(si, (1.0, si))
+    return f"{three_digits(scale * value)} {unit}"
 
 
 def static_force_json(result: StaticForce) -> dict[str, Any]:

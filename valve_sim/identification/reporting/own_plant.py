@@ -1,4 +1,4 @@
-"""What is said of a plant of a user's own equations: refitted values, checks, and its file with what was found."""
+"""The file of a machine with what was found: refitted values, and what is missing among its equations."""
 
 from __future__ import annotations
 
@@ -9,114 +9,14 @@ from typing import Any
 
 import yaml
 
-from valve_sim.files.json_text import plain_mapping
 from valve_sim.files.plant_files import PlantFile, renamed
 from valve_sim.files.whole_files import write_whole
-from valve_sim.identification.diagnosis.own_plant import PartChecked, PlantIdentification, PlantValidation
 from valve_sim.identification.diagnosis.run import Diagnosis
 from valve_sim.identification.estimation.declared_values import declared_values
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.plants.own import OwnPlant
-from valve_sim.identification.reporting.findings import interval_lines, intervals_json
-from valve_sim.identification.reporting.units import quantity
-from valve_sim.identification.reporting.validation import junit
 from valve_sim.model.core.own.grammar import Expr, names_in
 from valve_sim.model.core.own.units import text_of
-
-
-def plant_identification_json(result: PlantIdentification) -> dict[str, Any]:
-    """The content of identify.json: SI units."""
-    plant = result.plant
-    return plain_mapping(
-        {
-            "schema": "valve_sim/identification/1",
-            "sources": [recording.source for recording in plant.recordings],
-            "plant": plant.file.path,
-            "parameters": intervals_json(result.intervals),
-            "units": {name: plant.parameter(name).unit for name in result.intervals},
-            "rmse": {
-                own.channel: {"before": own.before, "after": own.after, "noise": own.noise, "unit": own.unit}
-                for own in result.errors
-            },
-            "declared": {
-                own.name: {
-                    "value": own.mean, "tolerance": own.sigma, "estimate": result.fit.values[own.name],
-                    "deviation": (result.fit.values[own.name] - own.mean) / own.sigma,
-                }
-                for own in result.fit.nuisances if own.is_of_machine
-            },
-            "recording": {
-                own.name: {"estimate": result.fit.values[own.name], "unit": own.unit}
-                for own in result.fit.nuisances if not own.is_of_machine
-            },
-            "chi2_per_sample": result.fit.chi2 / result.fit.problem.effective_samples,
-            "converged": result.fit.converged,
-        }
-    )  # fmt: skip
-
-
-def plant_identification_text(result: PlantIdentification) -> str:
-    """Values, errors, declared values, and what the data do not determine."""
-    plant = result.plant
-    lines = interval_lines(plant, result.intervals, 34)
-    for own in result.fit.nuisances:
-        if own.is_of_machine:
-            found_value = result.fit.values[own.name]
-            deviation = (found_value - own.mean) / own.sigma
-            if abs(deviation) > 3.0:
-                lines.append(
-                    f"{own.name}: {quantity(found_value, own.unit, 5)} fits, {quantity(own.mean, own.unit, 5)} is "
-                    f"declared: {abs(deviation):.1f} tolerances"
-                )
-    lines += [
-        f"{own.channel}: rms error {quantity(own.before, own.unit)} as declared, {quantity(own.after, own.unit)} "
-        f"refitted; noise {quantity(own.noise, own.unit)}"
-        for own in result.errors
-    ]
-    return "\n".join(lines)
-
-
-def plant_validation_json(result: PlantValidation) -> dict[str, Any]:
-    """Each part of each recording, SI units."""
-    return plain_mapping(
-        {
-            "schema": "valve_sim/validation/1",
-            "plant": result.plant.file.path,
-            "passed": result.passed,
-            "parts": [
-                {
-                    "channel": part.channel, "part": part.group + 1, "rmse": part.rmse, "tolerance": part.allowed,
-                    "unit": part.unit, "passed": part.passed,
-                }
-                for part in result.parts
-            ],
-        }
-    )  # fmt: skip
-
-
-def plant_validation_text(result: PlantValidation) -> str:
-    """A line for each part, and the outcome."""
-    lines = [
-        f"{'ok     ' if part.passed else 'OUTSIDE'} {_part_name(part)}: {_part_words(part)}" for part in result.parts
-    ]
-    outside = sum(not part.passed for part in result.parts)
-    return "\n".join(
-        [*lines, "within the tolerance" if not outside else f"outside the tolerance: {outside} of {len(result.parts)}"]
-    )
-
-
-def plant_validation_junit(result: PlantValidation) -> str:
-    """A JUnit report with a test case for each part."""
-    cases = [(_part_name(own), _part_words(own), not own.passed) for own in result.parts]
-    return junit([(result.plant.file.path, cases)])
-
-
-def _part_name(part: PartChecked) -> str:
-    return f"{part.channel}, part {part.group + 1}"
-
-
-def _part_words(part: PartChecked) -> str:
-    return f"rms error {quantity(part.rmse, part.unit)}, allowed {quantity(part.allowed, part.unit)}"
 
 
 def corrected_plant(diagnosis: Diagnosis) -> dict[str, Any]:

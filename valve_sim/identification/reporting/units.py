@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Final
+from typing import Any, Final
 
 from valve_sim.identification.estimation.intervals import Interval
-from valve_sim.identification.plants.protocol import Plant
+from valve_sim.identification.plants.protocol import KEY_OF_UNIT, Plant
 
 _PREFIXES: Final[Mapping[str, tuple[tuple[float, str], ...]]] = {
     "m": ((1e-3, "µm"), (1.0, "mm")),
@@ -65,6 +65,11 @@ def three_digits(value: float) -> str:
 def listed_values(plant: Plant, values: Mapping[str, float], digits: int = 4) -> str:
     """Values by name, each with its unit, as in a sentence."""
     return ", ".join(f"{name} {quantity(value, plant.parameter(name).unit, digits)}" for name, value in values.items())
+
+
+def in_unit(name: str, value: Any, unit: str) -> dict[str, Any]:
+    """An entry of a report in the unit in which people read it; where that has a short name, under `<name>_um`, too."""
+    return {name: value, f"{name}_{KEY_OF_UNIT[unit]}": value} if unit in KEY_OF_UNIT else {name: value}
 
 
 def measured(found: Interval, unit: str) -> str:

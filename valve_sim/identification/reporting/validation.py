@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import Any
 from xml.etree import ElementTree
 
 from valve_sim.files.json_text import plain_mapping
-from valve_sim.identification.plants.protocol import KEY_OF_UNIT
-from valve_sim.identification.reporting.units import three_digits
+from valve_sim.identification.reporting.units import in_unit, three_digits
 from valve_sim.identification.validation.replay import MICRO, Arrival, Errors, Replay, Validation
 
 
@@ -30,7 +30,7 @@ def validation_text(result: Validation) -> str:
 
 def validation_junit(result: Validation) -> str:
     """JUnit XML: a suite for each recording, a test case for each stroke and one for the recording as a whole."""
-    return junit([(replay.trace.source, _cases(replay)) for replay in result.replays])
+    return junit([(replay.source, _cases(replay)) for replay in result.replays])
 
 
 def junit(suites: Sequence[tuple[str, Sequence[tuple[str, str, bool]]]]) -> str:
@@ -52,20 +52,19 @@ def junit(suites: Sequence[tuple[str, Sequence[tuple[str, str, bool]]]]) -> str:
 def _replay_json(replay: Replay) -> dict[str, Any]:
     """One entry of the report."""
     scale, unit = replay.readable
-    key = KEY_OF_UNIT[unit]
     return {
-        "source": replay.trace.source,
+        "source": replay.source,
+        "signal": replay.title,
+        "unit": unit,
         "passed": replay.passed,
-        f"tolerance_{key}": scale * replay.tolerance,
-        f"noise_{key}": scale * replay.noise,
+        **in_unit("noise", scale * replay.noise, unit),
         "clock_offset_us": MICRO * replay.clock_offset,
-        **_errors_json(replay.errors, scale, key),
+        **_errors_json(replay.errors, scale, unit),
         "strokes": [
             {
                 "name": stroke.name,
                 "passed": stroke.errors.is_within,
-                f"tolerance_{key}": scale * stroke.errors.tolerance,
-                **_errors_json(stroke.errors, scale, key),
+                **_errors_json(stroke.errors, scale, unit),
                 "arrivals": [_arrival_json(arrival) for arrival in stroke.arrivals],
             }
             for stroke in replay.strokes
@@ -73,13 +72,14 @@ def _replay_json(replay: Replay) -> dict[str, Any]:
     }
 
 
-def _errors_json(errors: Errors, scale: float, key: str) -> dict[str, Any]:
-    """Errors in the unit that their names end with; the moving error is nan where the model does not move."""
+def _errors_json(errors: Errors, scale: float, unit: str) -> dict[str, Any]:
+    """Errors, and how large they may be, in a unit; the moving error is nan where the model does not move."""
     return {
         "samples": errors.samples,
-        f"rmse_{key}": scale * errors.rmse,
-        f"moving_rmse_{key}": scale * errors.moving_rmse,
-        f"maximum_{key}": scale * errors.maximum,
+        **in_unit("tolerance", scale * errors.tolerance, unit),
+        **in_unit("rmse", scale * errors.rmse, unit),
+        **in_unit("moving_rmse", scale * errors.moving_rmse, unit),
+        **in_unit("maximum", scale * errors.maximum, unit),
     }
 
 
@@ -98,9 +98,9 @@ def _replay_text(replay: Replay) -> str:
     """For the terminal."""
     scale, unit = replay.readable
     lines = [
-        f"{replay.trace.source}: {'within' if replay.passed else 'OUTSIDE'} "
-        f"{three_digits(scale * replay.tolerance)} {unit} (noise {three_digits(scale * replay.noise)} {unit}, "
-        f"clock offset {MICRO * replay.clock_offset:.1f} µs)",
+        f"{replay.source}: {'within' if replay.passed else 'OUTSIDE'} "
+        f"{three_digits(scale * replay.tolerance)} {unit} (noise {three_digits(scale * replay.noise)} {unit}"
+        f"{'' if math.isnan(replay.clock_offset) else f', clock offset {MICRO * replay.clock_offset:.1f} µs'})",
         f"  {'part of a stroke':<32}{'rmse':>9}{'moving':>9}{'maximum':>9}  {unit}",
     ]
     rows = [*((stroke.name, stroke.errors) for stroke in replay.strokes), ("in all", replay.errors)]

@@ -20,6 +20,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from valve_sim.files.channels import CHANNELS
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.state_of_recording import fit_recording
 from valve_sim.identification.plants.protocol import READABLE_UNITS, Array
@@ -109,30 +110,31 @@ class StrokeCheck(NamedTuple):
 
 @dataclass(frozen=True)
 class Replay:
-    """One recording replayed.
+    """One recording replayed, or one signal of it.
 
     Attributes:
-        trace: what was measured. valve: what was simulated.
-        measured: what is judged: the positions, m, or where none were recorded the currents, A, or pressures, Pa.
-        predicted: (n,) the same by the model.
-        clock_offset: s, by which samples are stamped late.
-        noise: standard deviation of the sensor, in the unit of `measured`.
-        errors: over the whole recording. strokes: one by one.
+        source: of what was measured. title, unit: of what is judged: of a valve the position, m, or where none was
+            recorded the current, A, or pressure, Pa.
+        measured: what is judged. predicted: (n,) the same by the model.
+        noise: standard deviation of the sensor, in `unit`.
+        errors: over the whole recording. strokes: one by one, or parts of it.
+        clock_offset: s, by which samples are stamped late; nan where all columns share a clock.
     """
 
-    trace: Trace
-    valve: Valve
+    source: str
+    title: str
+    unit: str
     measured: Signal
     predicted: Array
-    clock_offset: float
     noise: float
     errors: Errors
     strokes: tuple[StrokeCheck, ...]
+    clock_offset: float = math.nan
 
     @property
     def readable(self) -> tuple[float, str]:
         """Factor from SI and name of the unit in which people read the errors."""
-        return READABLE_UNITS[_JUDGED[self.trace.primary_signal].unit]
+        return READABLE_UNITS.get(self.unit, (1.0, self.unit))
 
     @property
     def passed(self) -> bool:
@@ -147,10 +149,10 @@ class Replay:
 
 @dataclass(frozen=True)
 class Validation:
-    """Recordings replayed against one declared valve.
+    """Recordings replayed against one declared machine.
 
     Attributes:
-        replays: one for each recording.
+        replays: one for each recording, or for each of its signals.
     """
 
     replays: tuple[Replay, ...]
@@ -234,17 +236,12 @@ def replay_trace(trace: Trace, valve: Valve, tolerance: float | None = None) -> 
         shown += zero_with(0, nuisances)
     allowed = Allowed(variance, finest) if tolerance is None else tolerance
     left_out = trace.left_out.any if trace.has_positions else None
-    errors_of = partial(_errors, measured.values, shown, _moving(times, motion.is_moving), allowed, left_out=left_out)
-    return Replay(
-        trace,
-        valve,
-        measured,
-        shown,
-        offset,
-        noise,
-        errors_of(slice(None)),
-        tuple(_stroke_checks(trace, seen, (motion.events, offset), errors_of)),
+    errors_of = partial(
+        errors_between, measured.values, shown, _moving(times, motion.is_moving), allowed, left_out=left_out
     )
+    strokes = tuple(_stroke_checks(trace, seen, (motion.events, offset), errors_of))
+    title, unit = CHANNELS[trace.primary_signal].title, _JUDGED[trace.primary_signal].unit
+    return Replay(trace.source, title, unit, measured, shown, noise, errors_of(slice(None)), strokes, offset)
 
 
 class Allowed(NamedTuple):
@@ -325,7 +322,7 @@ def _moving(times: Array, is_moving: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return moving
 
 
-def _errors(
+def errors_between(
     measured: Array,
     shown: Array,
     moving: NDArray[np.bool_],
@@ -333,7 +330,12 @@ def _errors(
     chosen: slice,
     left_out: NDArray[np.bool_] | None = None,
 ) -> Errors:
-    """Over the chosen samples that are not left out, a block of them at a time."""
+    """Measured less shown over the chosen samples that are not left out, a block of them at a time.
+
+    Args:
+        measured, shown: (n,). moving: (n,) whether the model moves. allowed: the tolerance. chosen: samples.
+        left_out: (n,) what is no measurement.
+    """
     own = range(*chosen.indices(len(measured)))
     squares, of_motion, count, samples, largest = [], [], 0, 0, 0.0
     for part in blocks(len(own)):

@@ -1,0 +1,88 @@
+"""Check a machine of a plant file against its recordings: nothing of the machine is estimated.
+
+Starts that are free, and errors of the recordings that their maps declare, are. A recording is judged in the parts that
+a hold-out takes, each of its signals by itself.
+"""
+
+from __future__ import annotations
+
+import itertools
+from functools import partial
+
+import numpy as np
+
+from valve_sim.identification.estimation.gram import gram
+from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.estimation.result import Fit
+from valve_sim.identification.estimation.solver import fit
+from valve_sim.identification.plants.check import check_plant
+from valve_sim.identification.plants.own import OwnPlant
+from valve_sim.identification.plants.protocol import Array, Channel, Direction
+from valve_sim.identification.validation.replay import Allowed, Replay, StrokeCheck, Validation, errors_between
+from valve_sim.traces import Signal
+
+
+def validate_plant(plant: OwnPlant, tolerance: float | None = None) -> Validation:
+    """Check a declared machine against its recordings.
+
+    The tolerances of declared values widen what is allowed, each by what it leaves once starts and errors of the
+    recordings are estimated.
+
+    Args:
+        plant: with its recordings. tolerance: largest rms error of the first output, SI; default three times what noise
+            and tolerances let expect.
+
+    Raises:
+        SimulationError: the declared machine cannot be simulated.
+    """
+    check_plant(plant)
+    problem = Problem(plant)
+    found = fit(problem, (), {}, nuisances=[own for own in plant.nuisances if not own.is_of_machine])
+    replays = []
+    for index, (channel, shown, left) in enumerate(
+        zip(plant.channels, plant.predict(found.values), _left_by_tolerances(found), strict=True)
+    ):
+        noise = problem.noise_of(index).sigma
+        allowed: Allowed | float = Allowed(noise**2 + np.sum(np.square(left), axis=1), 0.0)
+        if tolerance is not None and channel.kind == plant.channels[0].kind:
+            allowed = tolerance
+        replays.append(_replayed(channel, shown, allowed, noise))
+    return Validation(tuple(replays))
+
+
+def _replayed(channel: Channel, shown: Array, allowed: Allowed | float, noise: float) -> Replay:
+    """One signal of one recording, part by part."""
+    unknown = np.zeros(len(shown), dtype=bool)
+    errors_of = partial(errors_between, channel.data, shown, unknown, allowed, left_out=channel.left_out)
+    edges = [0, *(np.flatnonzero(np.diff(channel.group)) + 1).tolist(), len(shown)]
+    parts = [(int(channel.group[first]), errors_of(slice(first, last))) for first, last in itertools.pairwise(edges)]
+    strokes = tuple(StrokeCheck(f"part {number + 1}", errors, ()) for number, errors in parts if errors.samples)
+    measured = Signal(channel.times, channel.data)
+    return Replay(
+        channel.name, channel.kind, channel.unit, measured, shown, noise, errors_of(slice(None)), strokes
+    )  # fmt: skip
+
+
+def _left_by_tolerances(found: Fit) -> list[Array]:
+    """(n, k) of each channel: what each declared value, off by its tolerance, would leave of it.
+
+    Starts and errors of a recording are estimated from that recording, and take up what they can of a wrong value: to
+    count the whole of it would allow far more than such a value can leave.
+    """
+    problem, plant = found.problem, found.problem.plant
+    assert isinstance(plant, OwnPlant)
+    known = [nuisance for nuisance in plant.nuisances if nuisance.is_of_machine]
+    if not known:
+        return [np.zeros((len(channel.data), 0)) for channel in plant.channels]
+    own, count = found.nuisances, len(known)
+    directions = [Direction({nuisance.name: nuisance.sigma}, 1e-3) for nuisance in (*known, *own)]
+    values = {**found.values, **{nuisance.name: nuisance.mean for nuisance in known}}
+    columns = plant.sensitivities(values, directions).columns
+    weights = [
+        (1.0 if channel.left_out is None else ~channel.left_out) / problem.noise_of(index).sigma
+        for index, channel in enumerate(plant.channels)
+    ]
+    rows = np.concatenate([each * np.reshape(weight, (-1, 1)) for each, weight in zip(columns, weights, strict=True)])
+    declared, estimated = rows[:, :count], rows[:, count:]
+    taken = np.linalg.solve(gram(estimated, estimated) + np.eye(len(own)), gram(estimated, declared))
+    return [each[:, :count] - each[:, count:] @ taken for each in columns]
