@@ -10,13 +10,11 @@ import functools
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from rosbags.interfaces import MessageDefinitionFormat, Nodetype
-from rosbags.rosbag2 import Reader
-from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import Stores, get_typestore
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from pathlib import Path
 
     from numpy.typing import NDArray
     from rosbags.typesys.store import Typestore
@@ -54,31 +52,6 @@ def full_type(message_type: str) -> str:
     """Return the type with its "msg" part, which some recorders leave out."""
     package, _, name = message_type.rpartition("/")
     return message_type if "/" in package else f"{package}/msg/{name}"
-
-
-def definitions_of(path: Path, message_type: str) -> Definitions | None:
-    """Definitions of a message type and of those in it: the usual ones, or those that the recording holds.
-
-    None: nobody knows. The definitions are parsed, never run.
-    """
-    usual: Definitions = typestore().fielddefs
-    if message_type in usual:
-        return usual
-    parsers = {MessageDefinitionFormat.MSG: get_types_from_msg, MessageDefinitionFormat.IDL: _types_from_idl}
-    try:
-        with Reader(path) as reader:
-            for connection in reader.connections:
-                if full_type(connection.msgtype) == message_type and connection.msgdef.format in parsers:
-                    found = parsers[connection.msgdef.format](connection.msgdef.data, message_type)
-                    if found:
-                        return {**usual, **found}
-    except Exception:  # a damaged file, or a definition that is none: the library raises what it stumbles over
-        return None
-    return None
-
-
-def _types_from_idl(text: str, _: str) -> Definitions:
-    return get_types_from_idl(text)
 
 
 class Field(NamedTuple):

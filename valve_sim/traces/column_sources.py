@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,23 +30,9 @@ class Series(NamedTuple):
     readings: Array
 
 
-class ColumnSource(Protocol):
-    """A recording out of which a map's entries are read.
-
-    Attributes:
-        keys: of an entry, that say where its numbers are. findings: what was dropped, a line each.
-    """
-
-    keys: Sequence[str]
-    findings: list[str]
-
-    def series(self, key: str, entry: Mapping[str, Any]) -> Series:
-        """The numbers of one entry."""
-
-
 def source_of(
     path: Path, map_reader: Entries, found: Mapping[Any, Any] | None
-) -> tuple[ColumnSource, Mapping[Any, Any]]:
+) -> tuple[TableRows | BagTopics, Mapping[Any, Any]]:
     """The recording, opened, and the entries of its map.
 
     Args:
@@ -71,7 +57,11 @@ def source_of(
 
 
 class TableRows:
-    """The columns of a table, which share the times of its rows."""
+    """The columns of a table, which share the times of its rows.
+
+    Attributes:
+        keys: of an entry, that say where its numbers are. findings: what was dropped, a line each.
+    """
 
     keys: Sequence[str] = ("column",)
 
@@ -112,7 +102,11 @@ class TableRows:
 
 
 class BagTopics:
-    """Fields of the messages of a bag, each at the times of its own topic, s since the first message of all."""
+    """Fields of the messages of a bag, each at the times of its own topic, s since the first message of all.
+
+    Attributes:
+        keys, findings: as of a table.
+    """
 
     keys: Sequence[str] = ("topic", "field", "joint", "clock")
 

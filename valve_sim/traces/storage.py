@@ -9,10 +9,12 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from rosbags.interfaces import MessageDefinitionFormat
 from rosbags.rosbag2 import Reader
+from rosbags.typesys import get_types_from_idl, get_types_from_msg
 
 from valve_sim.model.errors import ValveError
-from valve_sim.traces.cdr import definitions_of, full_type
+from valve_sim.traces.cdr import full_type, typestore
 from valve_sim.traces.errors import TraceError
 from valve_sim.traces.indexed_mcap import IndexedMcap
 from valve_sim.traces.salvage import MCAP_MAGIC, SQLITE_MAGIC, ZSTD_MAGIC, Salvaged, salvage, unpack_zstd
@@ -20,6 +22,8 @@ from valve_sim.traces.topics import Topic
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+
+    from valve_sim.traces.cdr import Definitions
 
     Fields = Mapping[str, Collection[str] | None]
     """Topics to read, and the paths of the numbers to keep of each, as `Topic` has them."""
@@ -182,10 +186,35 @@ def _by_index(path: Path, files: Sequence[Path], select: Select, most: int | Non
 def _topics(path: Path, types: Mapping[str, str], fields: Fields, most: int | None) -> dict[str, Topic]:
     """What takes the messages of each topic that is to be read."""
     return {
-        name: Topic(types[name], definitions_of(path, types[name]), keep, most)
+        name: Topic(types[name], _definitions_of(path, types[name]), keep, most)
         for name, keep in fields.items()
         if name in types
     }
+
+
+def _definitions_of(path: Path, message_type: str) -> Definitions | None:
+    """Definitions of a message type and of those in it: the usual ones, or those that the recording holds.
+
+    None: nobody knows. The definitions are parsed, never run.
+    """
+    usual: Definitions = typestore().fielddefs
+    if message_type in usual:
+        return usual
+    parsers = {MessageDefinitionFormat.MSG: get_types_from_msg, MessageDefinitionFormat.IDL: _types_from_idl}
+    try:
+        with Reader(path) as reader:
+            for connection in reader.connections:
+                if full_type(connection.msgtype) == message_type and connection.msgdef.format in parsers:
+                    found = parsers[connection.msgdef.format](connection.msgdef.data, message_type)
+                    if found:
+                        return {**usual, **found}
+    except Exception:  # a damaged file, or a definition that is none: the library raises what it stumbles over
+        return None
+    return None
+
+
+def _types_from_idl(text: str, _: str) -> Definitions:
+    return get_types_from_idl(text)
 
 
 def _finished(types: Mapping[str, str], topics: Mapping[str, Topic], findings: tuple[str, ...] = ()) -> Recording:
@@ -220,7 +249,7 @@ def _read_damaged(path: Path, select: Select, most: int | None, reason: str) -> 
         for name, keep in select(types).items():
             if name in types:
                 of_file = next(file for file, part in zip(files, found, strict=True) if name in part.types)
-                topics[name] = Topic(types[name], definitions_of(of_file, types[name]), keep, most)
+                topics[name] = Topic(types[name], _definitions_of(of_file, types[name]), keep, most)
         for file in files:
             salvage(file, topics)
     return _finished(types, topics, (_describe_salvage(path, found, count, reason),))
