@@ -67,6 +67,8 @@ class IndexedMcap:
         """Every topic and its message type."""
         if len(self.types) < len({channel.topic for channel in summary.channels.values()}):
             raise NotIndexed
+        self.count = summary.statistics.message_count
+        """How many messages it holds, of all topics."""
 
     def read(self, topics: Mapping[str, Topic]) -> None:
         """Give topics, by name, their messages, chunk by chunk.

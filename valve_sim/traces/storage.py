@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import tempfile
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -39,11 +39,13 @@ class Recording(NamedTuple):
         types: Every topic in the recording and its message type ("std_msgs/msg/Float64").
         topics: What the topics that were asked for hold; none of those without a message.
         findings: What was wrong with the files, and what was kept.
+        messages: How many the files hold, of topics that were asked for or not, as far as their indexes say it.
     """
 
     types: Mapping[str, str]
     topics: dict[str, Topic]
-    findings: tuple[str, ...]
+    findings: tuple[str, ...] = ()
+    messages: int = 0
 
     def topic(self, path: Path, name: str) -> Topic:
         """Return a topic of which at least one message can be read.
@@ -153,14 +155,14 @@ def _read_whole(path: Path, select: Select, most: int | None) -> Recording:
             if not reader.compression_mode and all(file.suffix == ".mcap" for file in _storage_files(path)):
                 files = _storage_files(path)
     if all(file.suffix == ".mcap" and file.is_file() for file in files):
-        found = _by_index(path, files, select, most)
+        found = _by_index(files, select, most)
         if found:
             return found
     with ExitStack() as stack:
         readers = [stack.enter_context(Reader(file)) for file in files]
         connections = [connection for reader in readers for connection in reader.connections]
         types = {connection.topic: full_type(connection.msgtype) for connection in connections}
-        topics = _topics(path, types, select(types), most)
+        topics = _topics(files, types, select(types), most)
         for reader in readers:
             wanted = [connection for connection in reader.connections if connection.topic in topics]
             for connection, time, payload in reader.messages(wanted) if wanted else ():
@@ -168,32 +170,32 @@ def _read_whole(path: Path, select: Select, most: int | None) -> Recording:
     return _finished(types, topics)
 
 
-def _by_index(path: Path, files: Sequence[Path], select: Select, most: int | None) -> Recording | None:
+def _by_index(files: Sequence[Path], select: Select, most: int | None) -> Recording | None:
     """Read MCAP files by their indexes; None where one has none, or a damaged one: rosbags says which."""
     try:
         parts = [IndexedMcap(file) for file in files]
         types = {topic: message_type for part in parts for topic, message_type in part.types.items()}
-        topics = _topics(path, types, select(types), most)
+        topics = _topics(files, types, select(types), most)
         for part in parts:
             part.read(topics)
     except ValveError:
         raise
     except Exception:  # the library raises what it stumbles over
         return None
-    return _finished(types, topics)
+    return _finished(types, topics)._replace(messages=sum(part.count for part in parts))
 
 
-def _topics(path: Path, types: Mapping[str, str], fields: Fields, most: int | None) -> dict[str, Topic]:
+def _topics(files: Sequence[Path], types: Mapping[str, str], fields: Fields, most: int | None) -> dict[str, Topic]:
     """What takes the messages of each topic that is to be read."""
     return {
-        name: Topic(types[name], _definitions_of(path, types[name]), keep, most)
+        name: Topic(types[name], _definitions_of(files, types[name]), keep, most)
         for name, keep in fields.items()
         if name in types
     }
 
 
-def _definitions_of(path: Path, message_type: str) -> Definitions | None:
-    """Definitions of a message type and of those in it: the usual ones, or those that the recording holds.
+def _definitions_of(files: Sequence[Path], message_type: str) -> Definitions | None:
+    """Definitions of a message type and of those in it: the usual ones, or those that one of the files holds.
 
     None: nobody knows. The definitions are parsed, never run.
     """
@@ -201,15 +203,14 @@ def _definitions_of(path: Path, message_type: str) -> Definitions | None:
     if message_type in usual:
         return usual
     parsers = {MessageDefinitionFormat.MSG: get_types_from_msg, MessageDefinitionFormat.IDL: _types_from_idl}
-    try:
-        with Reader(path) as reader:
+    for file in files:
+        # Of a damaged file, or a definition that is none, the library raises what it stumbles over.
+        with suppress(Exception), Reader(file) as reader:
             for connection in reader.connections:
                 if full_type(connection.msgtype) == message_type and connection.msgdef.format in parsers:
                     found = parsers[connection.msgdef.format](connection.msgdef.data, message_type)
                     if found:
                         return {**usual, **found}
-    except Exception:  # a damaged file, or a definition that is none: the library raises what it stumbles over
-        return None
     return None
 
 
@@ -235,6 +236,9 @@ def _storage_files(path: Path) -> list[Path]:
 def _read_damaged(path: Path, select: Select, most: int | None, reason: str) -> Recording:
     """Read what is left of storage files: first of what they are, then the messages of the topics to read."""
     with _unpacked(_storage_files(path) if path.is_dir() else [path]) as files:
+        whole = _by_index(files, select, most) if path.is_dir() else None
+        if whole is not None and whole.messages:
+            return whole._replace(findings=(_describe_salvage(path, [], whole.messages, reason),))
         found = [salvage(file, {}) for file in files]
         types = {topic: message_type for part in found for topic, message_type in part.types.items()}
         count = sum(part.count for part in found)
@@ -245,11 +249,7 @@ def _read_damaged(path: Path, select: Select, most: int | None, reason: str) -> 
                     f"{path}: messages are encoded as {', '.join(encodings)}, cdr is needed; record it with ros2 bag"
                 )
             raise TraceError(f"{path}: no message could be saved ({reason}); record it again")
-        topics = {}
-        for name, keep in select(types).items():
-            if name in types:
-                of_file = next(file for file, part in zip(files, found, strict=True) if name in part.types)
-                topics[name] = Topic(types[name], _definitions_of(of_file, types[name]), keep, most)
+        topics = _topics(files, types, select(types), most)
         for file in files:
             salvage(file, topics)
     return _finished(types, topics, (_describe_salvage(path, found, count, reason),))
