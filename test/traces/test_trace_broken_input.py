@@ -506,12 +506,6 @@ def test_voltage_that_stays_at_zero_is_said(tmp_path: Path) -> None:
     assert any("never leaves 0 V" in finding for finding in trace.findings)
 
 
-def test_millimetres_are_said(tmp_path: Path) -> None:
-    messages = [joint_state(MEASURED, EPOCH + n * 10**5, (n * 1e-3, 0.0)) for n in range(1000)]
-    trace = read_trace(make_mcap(tmp_path / "a.mcap", [*only_commands(), *messages]))
-    assert any("must be in metres" in finding for finding in trace.findings)
-
-
 def test_output_of_a_node_stands_in_for_measurements(tmp_path: Path) -> None:
     messages = [*good_messages(measured="joint_states"), float_message("/valve/coil_current", EPOCH + 10**7, 0.5)]
     path = make_mcap(tmp_path / "a.mcap", messages)
