@@ -44,6 +44,13 @@ def test_what_is_not_over_at_the_end_of_its_stretch_does_not_stay_apart() -> Non
     assert group.part(np.zeros(12), columns)
 
 
+def test_where_nothing_acts_rounding_does_not_keep_strokes_together() -> None:
+    """A stroke that is held out shows the rounding of the one before."""
+    masks = [rows(*range(6)), rows(*range(6, 9)), rows(*range(9, 12))]
+    (group,), columns = group_columns(masks), np.zeros((12, 3))
+    assert group.part(np.array([0.0, 5.0, 1.0, 0.0, 0.0, 0.0, 3e-17, 2e-17, 2e-17, 2.0, 1.0, 0.0]), columns)
+
+
 class Counting(ValvePlant):
     """A plant without derivatives of its own that counts how often it is asked."""
 
