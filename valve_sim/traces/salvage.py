@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import sqlite3
 from dataclasses import dataclass, field
 from io import BytesIO
@@ -13,6 +14,7 @@ import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
+from mcap.reader import make_reader
 from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Schema
 from mcap.stream_reader import StreamReader
 
@@ -27,7 +29,7 @@ if TYPE_CHECKING:
 MCAP_MAGIC: Final = b"\x89MCAP0\r\n"
 SQLITE_MAGIC: Final = b"SQLite format 3\0"
 ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
-PIECE_SIZE: Final = 1 << 16
+PIECE_SIZE: Final = 1 << 10
 """Compressed bytes are taken in pieces, so that what came before the damage is kept."""
 RECORD_HEAD: Final = Struct("<BQ")
 """Opcode and length, before each record of an MCAP file."""
@@ -100,7 +102,7 @@ def _salvage_mcap(path: Path, topics: Mapping[str, Topic]) -> Salvaged:
     schemas: dict[int, str] = {}
     channels: dict[int, str] = {}
     with path.open("rb") as stream:
-        for record in _all_records(stream, found):
+        for record in itertools.chain(_repeated(stream), _all_records(stream, found)):
             if isinstance(record, Schema):
                 schemas[record.id] = record.name
             elif isinstance(record, Channel):
@@ -115,6 +117,18 @@ def _salvage_mcap(path: Path, topics: Mapping[str, Topic]) -> Salvaged:
                 if topic is not None:
                     topic.add(record.log_time, record.data)
     return found
+
+
+def _repeated(stream: BinaryIO) -> Iterator[McapRecord]:
+    """Yield schemas and channels as the end of a file repeats them, if it is whole: the first chunk may be damaged."""
+    try:
+        summary = make_reader(stream).get_summary()
+    except Exception:  # the library raises what it happens to meet
+        summary = None
+    stream.seek(0)
+    if summary is not None:
+        yield from summary.schemas.values()
+        yield from summary.channels.values()
 
 
 def _all_records(stream: BinaryIO, found: Salvaged) -> Iterator[McapRecord]:
