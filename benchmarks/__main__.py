@@ -43,11 +43,9 @@ GROUPS: Final[dict[str, tuple[Benchmark, ...]]] = {
         Benchmark("speed", "", "ten minutes"),
         Benchmark("speed", "4 GB of temporary files", "minutes", "long --strokes 100 1000 10000"),
         Benchmark("accuracy", "", "minutes", "--sets 100"),
-        Benchmark("energy_consistent", "", "minutes"),
     ),
     "Fit and diagnosis, by independent plants": (
         Benchmark("coverage", "", "minutes", "--seeds 200"),
-        Benchmark("coil_errors", "", "a minute"),
         Benchmark("campaign", "", "ten minutes", "--slice"),
         Benchmark("campaign", "", "up to 60 s a case, 50 cases", "--only hard --seeds 1"),
         Benchmark("campaign", "", "up to 2 minutes a case, 6 a seed", "--only coil_none,coil_single"),
@@ -57,32 +55,24 @@ GROUPS: Final[dict[str, tuple[Benchmark, ...]]] = {
     "Recordings of others": (Benchmark("real_recordings", "the published measurements", "minutes"),),
     "Machines of plant files": (
         Benchmark("campaign", "", "up to 10 s a case, 200 a seed", "--only actuator --seeds 1"),
-        Benchmark("plant_limits", "", "minutes"),
     ),
     "Monitor": (
         Benchmark("monitoring", "", "hours", "healthy growth --strokes 10000 --seeds 10"),
-        Benchmark("monitoring", "", "hours", "laboratory"),
+        Benchmark("monitoring", "", "hours", "laboratory --strokes 3340"),
         Benchmark("monitoring", "", "half an hour", "coil gas --seeds 12"),
         Benchmark("monitoring", "", "an hour", "sweep"),
-        Benchmark("monitoring", ROS, "hours", "topics --strokes 10000 --seeds 10"),
     ),
     "Nodes": (
         Benchmark("nodes.timing", f"{ROS}, a quiet machine", "minutes"),
         Benchmark("nodes.station", f"{ROS}, a quiet machine", "minutes", "--seconds 60"),
         Benchmark("nodes.station", ROS, "ten minutes", "--busy 1000"),
-        Benchmark("nodes.recording", ROS, "minutes", "--strokes 40"),
         Benchmark("nodes.soak", ROS, "five minutes", "--hours 24"),
-        Benchmark("nodes.plc", f"{ROS}, the extra modbus", "a minute", "--strokes 100"),
-        Benchmark("opcua_server", "the extra opcua", "minutes"),
     ),
     "Hard use": (
         Benchmark("fuzz", "", "minutes for each --share 0.01", "--share 0.01"),
         Benchmark("fuzz", ROS, "minutes", "--only topics"),
     ),
-    "Fleet": (
-        Benchmark("fleet", FLEET, "two minutes a seed", "--seeds 10"),
-        Benchmark("archive_years", FLEET, "half an hour", "--years 10"),
-    ),
+    "Fleet": (Benchmark("fleet", FLEET, "two minutes a seed", "--seeds 10"),),
 }
 """What can be run; `test_benchmarks.py` holds that no program is left out."""
 

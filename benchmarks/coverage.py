@@ -39,21 +39,13 @@ MOST_BIAS = 3.0
 """Standard errors of the mean."""
 
 
-class Outcome(NamedTuple):
-    """One parameter of one seed: error and standard error in N·s/m, and whether the 95 % interval holds the truth."""
-
-    error: float
-    stderr: float
-    is_covered: bool
-
-
 class Row(NamedTuple):
     """One parameter over all seeds, in one kind of noise.
 
     Attributes:
         bias: mean error in standard errors of the mean.
         spread: standard deviation of the errors, N·s/m. claimed: mean of the claimed standard errors, N·s/m.
-        coverage: share of intervals that hold the truth. accepted: the range that `coverage` must be in.
+        coverage: share of 95 % intervals that hold the truth. accepted: the range that `coverage` must be in.
     """
 
     noise: str
@@ -76,16 +68,13 @@ def true_dampings(seed: int) -> dict[str, float]:
     return {name: math.exp(random.uniform(math.log(low), math.log(high))) for name, (low, high) in RANGES.items()}
 
 
-def outcomes(seed: int, recorder: Recorder, valve: Valve) -> dict[str, Outcome]:
-    """Record one valve and refit it."""
+def refitted(seed: int, recorder: Recorder, valve: Valve) -> list[tuple[float, float, bool]]:
+    """Of each damping of a recorded valve: error and standard error, N·s/m, and whether its interval is right."""
     truth = true_dampings(seed)
     recording = record(DeclaredPlant(parameters={**CAMPAIGN_VALVE, **truth}), train_profile(), recorder, seed)
-    result = identify([as_trace(recording, f"seed {seed}")], valve)
-    found = {}
-    for name, true in truth.items():
-        interval = result.intervals[name]
-        found[name] = Outcome(interval.value - true, interval.stderr, interval.low <= true <= interval.high)
-    return found
+    found = identify([as_trace(recording, f"seed {seed}")], valve).intervals
+    pairs = [(found[name], true) for name, true in truth.items()]
+    return [(own.value - true, own.stderr, own.low <= true <= own.high) for own, true in pairs]
 
 
 def accepted_coverage(seeds: int) -> tuple[float, float]:
@@ -96,26 +85,15 @@ def accepted_coverage(seeds: int) -> tuple[float, float]:
     return min(WANTED_COVERAGE[0], float(low) / seeds), max(WANTED_COVERAGE[1], float(high) / seeds)
 
 
-def summarise(noise: str, found: Sequence[dict[str, Outcome]]) -> list[Row]:
-    """A row for each parameter."""
-    rows = []
-    for name in RANGES:
-        errors = np.array([outcome[name].error for outcome in found])
-        claimed = np.array([outcome[name].stderr for outcome in found])
-        covered = np.array([outcome[name].is_covered for outcome in found])
-        spread = float(np.std(errors, ddof=1))
-        bias = float(np.mean(errors)) / (spread / math.sqrt(len(errors)))
-        accepted = accepted_coverage(len(found))
-        rows.append(Row(noise, name, bias, spread, float(claimed.mean()), float(covered.mean()), accepted))
-    return rows
-
-
 def measure(seeds: int) -> list[Row]:
     """All rows: every kind of noise with the seeds 0 to `seeds` − 1."""
-    valve = default_valve().exact()
-    rows = []
+    valve, accepted, rows = default_valve().exact(), accepted_coverage(seeds), []
     for noise, recorder in RECORDERS.items():
-        rows += summarise(noise, [outcomes(seed, recorder, valve) for seed in range(seeds)])
+        found = np.array([refitted(seed, recorder, valve) for seed in range(seeds)])
+        for name, (errors, claimed, covered) in zip(RANGES, found.transpose(1, 2, 0), strict=True):
+            spread = float(np.std(errors, ddof=1))
+            bias = float(np.mean(errors)) / (spread / math.sqrt(seeds))
+            rows.append(Row(noise, name, bias, spread, float(claimed.mean()), float(covered.mean()), accepted))
     return rows
 
 

@@ -12,8 +12,6 @@ from benchmarks.__main__ import GROUPS, HERE, Benchmark
 from benchmarks.campaign.cases import FAMILIES
 
 LISTED = [own for members in GROUPS.values() for own in members]
-OF_A_FIGURE = {"posterior_figure", "record_well_figure"}
-"""Draws a figure of the documentation; measures nothing."""
 OURS = {"valve_sim", "benchmarks", "plants", "model", "identification", "nodes"}
 """Packages of this repository, which benchmarks import; others may be missing."""
 DOCS = Path(__file__).parents[1] / "docs"
@@ -30,7 +28,7 @@ def modules_that_run() -> set[str]:
 
 
 def test_every_program_is_listed_and_no_command_twice() -> None:
-    assert {own.module for own in LISTED} == modules_that_run() - OF_A_FIGURE
+    assert {own.module for own in LISTED} == modules_that_run()
     assert len({own.command for own in LISTED}) == len(LISTED)
 
 

@@ -15,7 +15,7 @@ from benchmarks.campaign.cases import AT_LIMITS, EXACT_VALUES, RECORDED, SIZES, 
 from benchmarks.campaign.effects import CATALOGUED
 from benchmarks.campaign.limits import DETECTABLE, Knowledge, detection_limit, yardstick
 from benchmarks.campaign.running import Answer, Outcome, is_unnamed, true_effects, true_names
-from benchmarks.campaign.tables import DEMANDS, family_table, imperfection_table, interval_table, standing, upper_limit
+from benchmarks.campaign.tables import DEMANDS, family_table, interval_table, standing, upper_limit
 
 POWERS: FloatArray = np.linspace(0.0, 1.2e-3, 7)[:, np.newaxis] ** np.arange(4)
 
@@ -169,16 +169,17 @@ def test_an_effect_meets_another_imperfection_in_every_round() -> None:
     assert len(met) == 2 * len(IMPERFECTIONS)
 
 
-def test_the_table_of_imperfections_counts_all_sizes_together() -> None:
+def test_the_table_of_families_counts_all_sizes_of_an_imperfection_together() -> None:
     outcomes = [
         outcome_of("imperfect", "none", (), 0.9),
         replace(outcome_of("imperfect", "effects", ("stiction",), 0.95), is_covered=None),
         Outcome(draw_case("imperfect", 1), error="it failed"),
     ]
-    drift, hum, whole = (row.split() for row in imperfection_table(outcomes).splitlines()[1:])
-    assert drift == ["imperfect", "drift", "2", "1", "·", "·", "·", "·", "1", "·", "1", "100%", "2", "1.0"]
-    assert hum == ["imperfect", "hum", "1", "·", "·", "·", "·", "·", "·", "1", "·", "–", "0", "–"]
-    assert whole[:3] == ["imperfect,", "all", "3"]
+    drift, hum, whole = (row.split() for row in family_table(outcomes).splitlines()[1:4])
+    # Cases, then unique, class, missed, wrong and failed, and how many were confidently wrong.
+    assert drift[:9] == ["imperfect", "drift", "2", "1", "·", "·", "1", "·", "1"]
+    assert hum[:9] == ["imperfect", "hum", "1", "·", "·", "·", "·", "1", "·"]
+    assert whole[:2] == ["all", "3"]
     old = outcomes[0].to_json()
     del old["case"]["laboratory"]
     assert Outcome.from_json(old).case.laboratory == ""
@@ -244,7 +245,7 @@ def test_every_kind_of_actuator_lacks_each_of_its_effects_and_one_in_five_nothin
     kinds, found = list(KINDS), [missing(seed) for seed in range(2 * ROUND)]
     assert found.count("") == 2 * ROUND // 5
     for place, (name, kind) in enumerate(KINDS.items()):
-        assert {*found[place :: len(kinds)]} == {*kind.effects, ""}, name
+        assert {*found[place :: len(kinds)]} == {*kind.sizes, ""}, name
 
 
 def test_the_true_coil_rises_as_the_exponential_of_its_time_constant() -> None:

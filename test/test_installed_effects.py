@@ -70,9 +70,8 @@ def test_it_is_diagnosed(installed: Installed, recording: Path, tmp_path: Path) 
 
 def test_a_node_has_its_parameters(installed: Installed) -> None:
     script = (
-        "from valve_sim.files.parameter_files import default_valve\n"
-        "from valve_sim.nodes.valve_parameters import table\n"
-        "print([name for name in table(default_valve()) if 'magnet_drag' in name])"
+        "from valve_sim.nodes.valve_parameters import ValveSettings\n"
+        "print([name for name in ValveSettings.table() if 'magnet_drag' in name])"
     )
     done = installed.run("-c", script)
     names = [f"effects.magnet_drag.{name}" for name in ("force", "speed")]

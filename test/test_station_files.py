@@ -19,6 +19,8 @@ from identification.live_strokes import LiveValve, feed
 
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.monitoring.monitor import Monitor
+from valve_sim.identification.monitoring.settings import MonitorSettings
+from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
 from valve_sim.nodes import topics as tables
 from valve_sim.nodes.monitor_work import stroke_status
 
@@ -120,12 +122,17 @@ def plotjuggler() -> ElementTree.Element:
 
 
 @functools.cache
-def stroke_series(tank: str) -> frozenset[str]:
+def reports() -> list[StrokeReport]:
+    """Those of a monitor that has been commissioned by its first eight strokes."""
+    monitor = Monitor(default_valve(), MonitorSettings(commissioning_strokes=8))
+    valve = LiveValve(seed=5, rate=2e3, jitter=0.0)
+    return [report for _ in range(12) for report in feed(monitor, valve.stroke())]
+
+
+def stroke_series(tank: str) -> set[str]:
     """What PlotJuggler makes of a stroke's diagnostics: hardware_id, name of the status and key."""
-    monitor, valve = Monitor(default_valve()), LiveValve(1, rate=1e3)
-    reports = [report for _ in range(2) for report in feed(monitor, valve.stroke())]
-    node, status = f"{tank}/monitor", stroke_status(reports[0])
-    return frozenset(f"{node}/{node}: {status.task}/{key}" for key in status.values)
+    node, status = f"{tank}/monitor", stroke_status(reports()[0])
+    return {f"{node}/{node}: {status.task}/{key}" for key in status.values}
 
 
 def test_plotjuggler_subscribes_to_what_it_plots_and_to_nothing_else(
@@ -143,6 +150,23 @@ def test_plotjuggler_subscribes_to_what_it_plots_and_to_nothing_else(
             assert re.fullmatch(SERIES[message], series), name
         subscribed[name.removesuffix("/" + series)] += 1
     assert all(subscribed.values()), subscribed
+
+
+def test_every_figure_of_a_stroke_is_a_number_that_plotjuggler_plots() -> None:
+    """PlotJuggler 3.8.8 makes a series of each value that is a number as a whole; a slash would make a branch of it."""
+    told = [stroke_status(report).values for report in reports()]
+    known = [{name for name, value in values.items() if is_finite(value)} for values in told]
+    assert all(known[0] <= names for names in known) and len(known) >= 11
+    assert known[0] >= {"stroke", "opening delay (ms)", "t1 (ms)", "t2 (ms)", "closing time (ms)"}
+    assert known[8] >= {"noise (µm)", "scatter of commands (ms)", "threshold", "residual (µm)", "highest sum"}
+    assert known[8] >= {"pilot_damping (N·s·m⁻¹)", "main_damping (N·s·m⁻¹)"}
+    assert known[8] >= {f"score {name}" for name in reports()[8].scores}
+    assert not any("/" in name for values in told for name in values)
+
+
+def is_finite(value: str) -> bool:
+    """Whether a value is a number as a whole, and has a point in a plot."""
+    return re.fullmatch(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?", value) is not None
 
 
 def test_plotjuggler_splits_add_up(plotjuggler: ElementTree.Element) -> None:

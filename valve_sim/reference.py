@@ -12,15 +12,16 @@ from pathlib import Path
 from typing import Final
 
 from valve_sim.files.channels import CHANNELS, COIL, JUDGED, LIVE_COIL, ROLES, UNITS
-from valve_sim.files.parameter_files import default_valve
 from valve_sim.fleet.columns import BEFORE, SCHEMA, columns, followed, quantities
 from valve_sim.model import CATALOGUE
 from valve_sim.model.latex import equations_without_effects, formulas_of
 from valve_sim.model.parameters import Parameter
-from valve_sim.nodes import profile_playing, settings, topics
-from valve_sim.nodes.parameters import NodeParameter
+from valve_sim.nodes import topics
+from valve_sim.nodes.parameters import NodeParameter, NodeSettings
+from valve_sim.nodes.profile_playing import ProfileSettings
+from valve_sim.nodes.settings import IdentificationSettings, MonitorNodeSettings
 from valve_sim.nodes.topics import Topic
-from valve_sim.nodes.valve_parameters import table
+from valve_sim.nodes.valve_parameters import ValveSettings
 from valve_sim.station import tables as station
 from valve_sim.traces.table_reading import OWN_COLUMNS
 
@@ -34,11 +35,11 @@ _TOPICS: Final = {
     "plc_node": station.PLC_TOPICS,
     "archive_node": station.ARCHIVE_TOPICS,
 }
-_STATION: Final = {
-    "dispenser_node": station.DISPENSER,
-    "opcua_node": station.OPCUA,
-    "plc_node": station.PLC,
-    "archive_node": station.ARCHIVE,
+_STATION: Final[dict[str, type[NodeSettings]]] = {
+    "dispenser_node": station.DispenserSettings,
+    "opcua_node": station.OpcUaSettings,
+    "plc_node": station.PlcSettings,
+    "archive_node": station.ArchiveSettings,
 }
 _LONGEST_TEXT: Final = 60
 _OF_TOPICS: Final = ("name", "type", "direction", "QoS", "unit", "what")
@@ -157,20 +158,20 @@ def _node_parameters() -> Iterator[str]:
         "of a valve is given, a tolerance that is not is 0: exact, but those of the sensor. "
         "[How well your numbers are known](../how_to/tolerances.md)."
     )
-    yield _parameters({name: e for name, e in table(default_valve()).items() if not name.startswith("effects.")})
+    yield _parameters({name: e for name, e in ValveSettings.table().items() if not name.startswith("effects.")})
     yield "## identification_node"
-    yield _parameters(settings.IDENTIFICATION)
+    yield _parameters(IdentificationSettings.rows())
     yield "## monitor_node"
     yield (
         "Beside these: `valve.`, `effects.`, `gas.` and `tolerances` as for valve_node, for the valve that it "
         "declares, and read-only."
     )
-    yield _parameters(settings.MONITOR)
+    yield _parameters(MonitorNodeSettings.rows())
     yield "## command_profile"
-    yield _parameters(profile_playing.PROFILE)
-    for node, tables in _STATION.items():
+    yield _parameters(ProfileSettings.rows())
+    for node, settings in _STATION.items():
         yield f"## {node}"
-        yield _parameters(tables)
+        yield _parameters(settings.rows())
 
 
 def _parameters(entries: Mapping[str, NodeParameter]) -> str:

@@ -16,8 +16,7 @@ from benchmarks.campaign.constants import constants_table
 from benchmarks.campaign.running import Outcome, examine, run_cases, true_declared
 from benchmarks.campaign.tables import DEMANDS, OF_A_SLICE, tables
 from benchmarks.common import add_jobs, add_seeds, parser
-from valve_sim.identification.diagnosis.run import Diagnosis
-from valve_sim.identification.reporting.summary import summarise
+from valve_sim.identification.reporting.text import diagnosis_text
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -98,35 +97,15 @@ def _run_again(known: argparse.ArgumentParser, name: str) -> int:
     for key, value in {"bench": bench and bench.words, **document["case"]}.items():
         print(f"{key:<15} {value}")
     for diagnosis in diagnoses:
-        print(f"\n{_tried(diagnosis)}")
+        print("", diagnosis_text(diagnosis), "probability   unnamed   ΔBIC", sep="\n")
+        for one in diagnosis.candidates[:8]:
+            print(f"{one.probability:<14.3g}{one.unnamed:<10.3g}{one.delta_bic:<13.1f}{' + '.join(one.effects)}")
     for key in ("label", "noise_floor", "is_covered", "advice", "measured"):
         print(f"{key:<15} {document[key]}")
     true = {} if bench is not None else true_declared(case)
     for value, entry in outcome.answers[0].declared.items():
         print(f"    {value:<28} true {true.get(value, math.nan):.6g}, {entry}")
     return 0
-
-
-def _tried(diagnosis: Diagnosis) -> str:
-    """What a diagnosis says, the intervals of what it fitted, and the sets that it tried."""
-    verdict = diagnosis.verdict
-    lines = [
-        f"verdict         {verdict.kind} {', '.join(verdict.effects)}, probability {verdict.probability:.4f}, unnamed "
-        f"{verdict.unnamed:.4f}, {diagnosis.work:.0f} simulated strokes",
-        f"confusable      {dict(verdict.confusable_with)}",
-        f"summary         {summarise(diagnosis)}",
-    ]
-    for parameter, interval in diagnosis.after.intervals.items():
-        lines.append(f"    {parameter:<40} {interval.value:.6g} [{interval.low:.6g}, {interval.high:.6g}]")
-    lines.append("probability   unnamed   ΔBIC         train, µm   holdout, µm")
-    for candidate in diagnosis.candidates[:8]:
-        timing = " with errors of the stamps" if candidate.timing else ""
-        lines.append(
-            f"{candidate.probability:<14.3g}{candidate.unnamed:<10.3g}{candidate.delta_bic:<13.1f}"
-            f"{1e6 * candidate.train_rmse:<12.4f}{1e6 * candidate.holdout_rmse:<12.4f}"
-            f"{' + '.join(candidate.effects)}{timing}"
-        )
-    return "\n".join(lines)
 
 
 if __name__ == "__main__":

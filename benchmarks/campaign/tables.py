@@ -1,4 +1,4 @@
-"""What the outcomes amount to: tables by truth, family, imperfection and probability, and demands that they must meet.
+"""What the outcomes amount to: tables by truth, family and probability, and demands that they must meet.
 
 A table is a grouping of outcomes and a list of columns; a demand is a share of judgements and what it must be.
 """
@@ -309,23 +309,23 @@ OF_FAMILIES: Final = (
 
 
 def family_table(outcomes: Outcomes) -> str:
-    """What became of each family, at its limits by how many of them, and pooled: how often it was confidently wrong."""
+    """What became of each family, by its parts, and pooled: how often it was confidently wrong."""
     rows = _grouped(outcomes, lambda own: [_part(own)])
     if len(rows) > 1:
         rows["all"] = outcomes
     wrong, count = sum(map(is_misnamed, outcomes)), len(outcomes)
     pooled = f"{wrong} of {count}, {wrong / count:.2%}, upper 95 % limit {upper_limit(wrong, count):.2%}"
-    return f"{in_columns('family', 26, OF_FAMILIES, rows)}\nconfidently wrong, all together: {pooled}"
+    return f"{in_columns('family', 50, OF_FAMILIES, rows)}\nconfidently wrong, all together: {pooled}"
 
 
 def _part(outcome: Outcome) -> str:
-    """The family, with how many limits where that is what it is about, and what is wrong with an exact file."""
+    """The family, with what its cases differ by: limits, what is wrong with an exact file, errors of the recording."""
     family = outcome.case.family
     if family.startswith("at_limits"):
         return f"{family} {next(iter(outcome.case.amplitudes.values())):.2g}"
     if family == "exact_wrong":
         return f"{family} {'effect' if outcome.case.effects else 'value'}"
-    return family
+    return f"{family} {outcome.case.laboratory.partition(':')[0]}".rstrip()
 
 
 def upper_limit(count: int, of: int) -> float:
@@ -373,59 +373,30 @@ def _misnamed(outcome: Outcome) -> str:
     return f"{truth}{' + '.join(answer.effects)} ({outcome.label}, p {answer.probability:.2f})"
 
 
-def imperfection_table(outcomes: Outcomes) -> str:
-    """What became of recordings with errors: a row for each imperfection of all sizes, and for each laboratory.
-
-    "right" names what is true and nothing else; where nothing is missing, that is "none". Dampings are counted where
-    the verdict was right: how many of their 95 % intervals hold the truth. Empty where no recording has errors.
-    """
-
-    def names(outcome: Outcome) -> list[str]:
-        case = outcome.case
-        imperfection = case.laboratory.partition(":")[0]
-        return [f"{case.family} {imperfection}", f"{case.family}, all"] if imperfection else []
-
-    def held(found: Outcomes) -> list[bool]:
-        return [(one.is_covered or {})[damping] for one in found for damping in one.case.dampings if one.is_covered]
-
-    columns = (
-        CASES,
-        Column("none", 13, _labelled("none")),
-        Column("right", 13, _labelled("unique")),
-        *(Column(label, 13, _labelled(label)) for label in LABELS if label not in ("none", "unique")),
-        MISNAMED,
-        Column("dampings", 10, lambda found: _mean(held(found), ".0%")),
-        Column("of", 5, lambda found: f"{len(held(found))}"),
-        Column("CPU s", 8, _cpu_seconds),
-    )
-    rows = _grouped(outcomes, names)
-    ordered = dict(sorted(rows.items(), key=lambda row: row[0].endswith(", all")))
-    return in_columns("imperfection", 30, columns, ordered) if rows else ""
-
-
 def measured_table(outcomes: Outcomes) -> str:
     """Other figures of a bench, or of a mistake: median, the largest without its sign, how many are as wanted.
 
     Each mistake of a laboratory is a row of its own. Empty where there are none.
     """
-    rows: dict[str, list[float]] = {}
-    wanted: dict[str, float | None] = {}
+    rows: dict[str, list[tuple[float, float | None]]] = {}
     for outcome in outcomes:
         case = outcome.case
-        if case.family not in {"mistake", *BENCHES}:
-            continue
         family = f"{case.family}, {case.laboratory}" if case.family == "mistake" else case.family
-        for figure, value in outcome.measured.items():
+        for figure, value in outcome.measured.items() if case.family in {"mistake", *BENCHES} else ():
             if value is not None:
-                rows.setdefault(f"{family:<50}{figure}", []).append(value)
-                wanted[f"{family:<50}{figure}"] = FAMILIES[case.family].wanted.get(figure)
-    lines = [f"{'family':<50}{'figure':<42}{'median':>10}{'largest':>10}{'within':>10}{'of':>5}"]
-    for name, values in rows.items():
-        most = wanted[name]
-        within = "" if most is None else f"{sum(abs(value) <= most for value in values)}"
-        middle, largest = statistics.median(values), max(values, key=abs)
-        lines.append(f"{name:<92}{middle:>10.4g}{largest:>10.4g}{within:>10}{len(values):>5}")
-    return "\n".join(lines) if rows else ""
+                wanted = FAMILIES[case.family].wanted.get(figure)
+                rows.setdefault(f"{family:<50}{figure}", []).append((value, wanted))
+
+    def within(found: Sequence[tuple[float, float | None]]) -> str:
+        return "" if found[0][1] is None else f"{sum(abs(value) <= (most or 0.0) for value, most in found)}"
+
+    columns = (
+        Column("median", 10, lambda found: f"{statistics.median(value for value, _ in found):.4g}"),
+        Column("largest", 10, lambda found: f"{max((value for value, _ in found), key=abs):.4g}"),
+        Column("within", 10, within),
+        Column("of", 5, lambda found: f"{len(found)}"),
+    )
+    return in_columns(f"{'family':<50}figure", 92, columns, dict(rows)) if rows else ""
 
 
 def reliability_table(outcomes: Outcomes) -> str:
@@ -467,5 +438,5 @@ def interval_table(outcomes: Outcomes) -> str:
 
 def tables(outcomes: Outcomes) -> str:
     """All of them that say something."""
-    makers = (confusion_table, family_table, reliability_table, interval_table, imperfection_table, measured_table)
+    makers = (confusion_table, family_table, reliability_table, interval_table, measured_table)
     return "\n\n".join(text for make in makers if outcomes and (text := make(outcomes)))

@@ -9,14 +9,13 @@ growth: Coulomb friction that grows over 50 strokes to five detection limits and
 strokes of having got there, the right name within 20, in 9 of 10 seeds. The limit is 1.5 mN with true stamps, 7.6 mN
 where each command's is off by 50 µs, because a late command is hardly told from friction then.
 laboratory: both at `--rates`, where dampings differ by 10 % from stroke to stroke, loads by a third of it, the sensor's
-zero walks by 1 µm a stroke, and hum of 0.5 µm comes on top. Wanted: at most three alarms in 10,000 healthy strokes, the
-declared rate within their 95 % interval, friction named in 9 of 10 seeds.
+zero walks by 1 µm a stroke, and hum of 0.5 µm comes on top. Wanted at each rate: at most three alarms in 10,000
+healthy strokes, the declared rate within their 95 % interval, friction named in 9 of 10 seeds.
 coil: by the coil's current alone, 5 kHz with 1 mA of noise: healthy strokes, and friction that grows over 20 strokes.
 gas: a leak or a clogged pilot orifice that begins in service, seen by the positions alone: is it named, and does its
 95 % interval hold the truth?
 sweep: each effect and each declared value changes by so many of its reported limits, at 500 Hz and 1 kHz. Wanted: an
 alarm within 5 strokes of whatever exceeds three limits, at most one in 2,000 healthy strokes.
-topics: healthy and growth with monitor_node as a process and ROS 2 between, as fast as it takes the strokes.
 
-Exit code 1 where a figure falls short. Only `topics` needs ROS 2.
+Exit code 1 where a figure falls short. Needs no ROS.
 """

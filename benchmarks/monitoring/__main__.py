@@ -6,14 +6,17 @@ import sys
 
 from benchmarks.common import add_jobs, add_seeds, parser
 from benchmarks.monitoring import __doc__ as words_of_all
-from benchmarks.monitoring.parts import PARTS, TANKS
+from benchmarks.monitoring.families import PARTS
+from benchmarks.monitoring.sweep import TANKS
 
 
 def main() -> int:
     """Run and print; 1 if anything falls short."""
     known = parser("monitoring", words_of_all)
     known.add_argument("parts", nargs="+", choices=list(PARTS), metavar="PART", help=", ".join(PARTS))
-    known.add_argument("--strokes", type=int, default=10_000, help="healthy strokes in all; 0: none (default: 10000)")
+    known.add_argument(
+        "--strokes", type=int, default=10_000, help="healthy strokes of a family; 0: none (default: 10000)"
+    )
     add_seeds(known)
     add_jobs(known)
     known.add_argument("--rates", type=float, nargs="*", default=(500.0, 1000.0, 2000.0), help="Hz, of a laboratory")

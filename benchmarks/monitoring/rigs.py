@@ -143,12 +143,17 @@ class PositionRig:
         return diagnose_plant(plant, None).detection_limits, plant
 
 
-def drawn_valve(seed: int, jitter: float, colour: float = 0.0, **errors: float) -> LiveValve:
-    """A valve with dampings of its own, N·s/m; `errors`: rate, variation, drift and hum, as of a `LiveValve`."""
+def drawn_rig(seed: int, jitter: float, *, colours: bool = False, **errors: float) -> PositionRig:
+    """A valve with dampings of its own, N·s/m.
+
+    Args:
+        seed: of all that is drawn. jitter: s, of each command's stamp. colours: whether noise is coloured in odd seeds.
+        errors: rate, variation, drift and hum, as of a `LiveValve`.
+    """
     random = np.random.default_rng([seed, 2])
     dampings = {"pilot_damping": float(random.uniform(0.7, 1.5)), "main_damping": float(random.uniform(2.5, 6.0))}
-    offset = float(random.normal(0.0, 50e-6))
-    return LiveValve(seed, dampings, jitter=jitter, colour=colour, offset=offset, **errors)  # type: ignore[arg-type]
+    offset, colour = float(random.normal(0.0, 50e-6)), 0.7 * (seed % 2) * colours
+    return PositionRig(LiveValve(seed, dampings, jitter=jitter, colour=colour, offset=offset, **errors))  # type: ignore[arg-type]
 
 
 # --- by the coil's current --------------------------------------------------------------------------------------------

@@ -6,10 +6,18 @@ rate. A limit of what does nothing at infinity, such as a sensor's bandwidth, co
 
 from __future__ import annotations
 
+import argparse
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Final, NamedTuple
+from functools import partial
+from typing import Any, Final, NamedTuple
 
+from identification.live_strokes import LEVELS, LiveValve, feed
+
+from benchmarks.common import say
+from benchmarks.monitoring.rigs import PositionRig, watch, watch_healthy
+from valve_sim.files.parameter_files import load_valve
+from valve_sim.files.resources import config_path
 from valve_sim.identification.plants.protocol import from_internal, internal_bounds, is_two_sided, to_internal
 from valve_sim.identification.plants.tolerances import SAME_AS
 from valve_sim.identification.plants.valve import ValvePlant
@@ -101,3 +109,67 @@ def _value(
         order = int(name[1])
         parameters = {"attraction_polynomial": (*polynomial[:order], value, *polynomial[order + 1 :])}
     return Change(f"valve.{name}", abs(value - declared) / limit, value, limit, effects, parameters)
+
+
+# --- what the monitor sees of them ------------------------------------------------------------------------------------
+
+TANKS, SWEPT_RATES = ("tank_1", "tank_2", "tank_3"), (500.0, 1000.0)
+SWEPT_BEFORE, MOST, SOON, BEYOND = 30, 20, 5, 3.0
+"""Strokes: healthy ones first, faulty ones at most, and within which an alarm is wanted beyond so many limits."""
+SWEPT_HEALTHY: Final = 2000
+
+
+def commissioned(tank: str, rate: float) -> PositionRig:
+    """A valve of the station that has stroked without fault; the same each time."""
+    rig = PositionRig(LiveValve(22, jitter=0.0, rate=rate), load_valve(config_path(f"{tank}.yaml")))
+    for _ in range(SWEPT_BEFORE):
+        rig.stroke()
+    return rig
+
+
+def sweep_one(tank: str, rate: float, options: argparse.Namespace) -> list[tuple[str, bool]]:
+    """A line for each change of one valve; of those that exceed `BEYOND` limits, whether the alarm came soon."""
+    rig = commissioned(tank, rate)
+    limits, plant = rig.limits(len(LEVELS))
+    counted = []
+    for change in changes(rig.valve.exact(), limits, plant, options.limits):
+        if options.only not in change.words:
+            continue
+        # What the compiled model holds cannot be copied, so that each change has a monitor that strokes anew.
+        own = commissioned(tank, rate)
+        first = own.live.strokes
+        rows = iter(own.live.row(MOST, change.effects, **change.parameters))  # type: ignore[arg-type]
+        own.stroke = partial(_next_of, own, rows)  # type: ignore[method-assign]
+        seen = watch(own, range(MOST), first, isolates=not options.no_names, once=True)
+        took = None if seen.alarmed is None else seen.alarmed - first + 1
+        words = f"{tank} {rate:4.0f} Hz {change.words:36} {change.size:10.4g}, limit {change.limit:9.3g}: "
+        words += f"{change.over:4.1f}; alarm after {took}"
+        for one in seen.isolated[:1]:
+            verdict = one.finding.verdict
+            words += f"; {verdict.kind} {verdict.probability:.3f}: {one.words}; {one.seconds:.0f} CPU s"
+        if change.over > BEYOND:
+            is_soon = took is not None and took <= SOON
+            counted.append((f"{tank} {rate:.0f} Hz {change.words} {change.size:.4g}", say(is_soon, words)))
+        else:
+            print(f"      {words}", flush=True)
+    return counted
+
+
+def _next_of(rig: PositionRig, rows: Any, fault: object = None) -> list[Any]:
+    """The next of some strokes in a row: what one leaves, such as heat, the next one has."""
+    return list(feed(rig.monitor, next(rows)))
+
+
+def sweep(options: argparse.Namespace) -> bool:
+    """What may change in a valve."""
+    counted: list[tuple[str, bool]] = []
+    for rate in SWEPT_RATES:
+        for tank in options.tanks:
+            counted += sweep_one(tank, rate, options)
+    late = [words for words, is_soon in counted if not is_soon]
+    good = [say(not late, f"alarm within {SOON} strokes in {len(counted) - len(late)} of {len(counted)}; late: {late}")]
+    for rate in SWEPT_RATES if options.strokes else ():
+        own = PositionRig(LiveValve(22, jitter=0.0, rate=rate), load_valve(config_path("tank_1.yaml")))
+        alarms = watch_healthy(own, min(options.strokes, SWEPT_HEALTHY)).alarms
+        good.append(say(alarms <= 1, f"{alarms} alarms in healthy strokes at {rate:.0f} Hz (at most 1)"))
+    return all(good)

@@ -1,23 +1,20 @@
-"""The driver of the benchmarks of nodes: starts processes, counts what they use, and listens in a thread."""
+"""The driver of the benchmarks of nodes: starts processes of nodes, and of neighbours that keep the machine busy."""
 
 from __future__ import annotations
 
 import contextlib
 import os
-import signal
 import subprocess
 import sys
-import threading
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
 import rclpy
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.node import Node
+from nodes.ros_process import end
 
-ENDS_WITHIN = 30.0
-"""s after SIGINT; a calculation that is under way on a busy machine may take minutes, and is killed."""
+Processes = dict[str, subprocess.Popen[bytes]]
 
 
 def program(
@@ -31,8 +28,8 @@ def program(
 
 
 @contextlib.contextmanager
-def running(commands: Mapping[str, Sequence[str]], **environment: str) -> Iterator[dict[str, subprocess.Popen[bytes]]]:
-    """Processes by name, while inside; ended by SIGINT."""
+def running(commands: Mapping[str, Sequence[str]], **environment: str) -> Iterator[Processes]:
+    """Processes by name, while inside."""
     processes = {
         name: subprocess.Popen(command, env={**os.environ, **environment}) for name, command in commands.items()
     }
@@ -40,26 +37,14 @@ def running(commands: Mapping[str, Sequence[str]], **environment: str) -> Iterat
         yield processes
     finally:
         for process in processes.values():
-            process.send_signal(signal.SIGINT)
+            process.terminate()
         for process in processes.values():
-            try:
-                process.wait(ENDS_WITHIN)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+            end(process)
 
 
-@contextlib.contextmanager
-def busy(count: int) -> Iterator[None]:
+def busy(count: int) -> AbstractContextManager[Processes]:
     """So many processes that do nothing but compute, while inside."""
-    spin = [sys.executable, "-S", "-c", "while True: pass"]
-    processes = [subprocess.Popen(spin) for _ in range(count)]
-    try:
-        yield
-    finally:
-        for process in processes:
-            process.kill()
-            process.wait()
+    return running({f"neighbour {number}": [sys.executable, "-S", "-c", "while True: pass"] for number in range(count)})
 
 
 @contextlib.contextmanager
@@ -71,32 +56,6 @@ def ros() -> Iterator[None]:
         yield
     finally:
         rclpy.try_shutdown()
-
-
-@contextlib.contextmanager
-def spinning(node: Node) -> Iterator[None]:
-    """A node that hears in a thread of its own, while inside; it is destroyed in the end."""
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
-
-    def spin() -> None:
-        with contextlib.suppress(ExternalShutdownException):
-            executor.spin()
-
-    thread = threading.Thread(target=spin, daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        executor.shutdown()
-        thread.join(2.0)
-        node.destroy_node()
-
-
-def processor_seconds(process_id: int) -> float:
-    """User and system time of a process so far, s."""
-    fields = Path(f"/proc/{process_id}/stat").read_text().rsplit(")", 1)[1].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def values_of(status: Any) -> dict[str, str]:

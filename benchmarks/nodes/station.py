@@ -29,12 +29,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray
-from nodes.ros_process import Probe
+from nodes.ros_process import Probe, cpu_seconds
 from sensor_msgs.msg import FluidPressure
 from std_msgs.msg import Float64, String
 
 from benchmarks.common import parser, say
-from benchmarks.nodes.driver import busy, processor_seconds, program, ros, running, values_of
+from benchmarks.nodes.driver import busy, program, ros, running, values_of
 from valve_sim.files.resources import config_path
 
 TANKS: Final = ("tank_1", "tank_2", "tank_3")
@@ -198,7 +198,7 @@ def fits(hand: Hand, pids: Mapping[str, int], seconds: float, leak: float) -> bo
     """Commission, let the station work for so long, after half of it with a leak, m²; whether all is as wanted."""
     hand.strokes((COMMISSIONING + 4) * hand.rhythm.period)
     lost, reported = hand.lost(), hand.reported()
-    used, start = {name: processor_seconds(pid) for name, pid in pids.items()}, time.monotonic()
+    used, start = {name: cpu_seconds(pid) for name, pid in pids.items()}, time.monotonic()
     if leak:
         hand.strokes(0.5 * seconds)
     since = hand.made(FAULTY)
@@ -207,7 +207,7 @@ def fits(hand: Hand, pids: Mapping[str, int], seconds: float, leak: float) -> bo
         seconds *= 0.5
     hand.strokes(seconds)
     elapsed = time.monotonic() - start
-    shares = {name: 100.0 * (processor_seconds(pid) - used[name]) / elapsed for name, pid in pids.items()}
+    shares = {name: 100.0 * (cpu_seconds(pid) - used[name]) / elapsed for name, pid in pids.items()}
     hand.probe.spin_for(1.5)  # until the last second's diagnostics are here
     for name, share in shares.items():
         print(f"      {name:16s}{share:6.1f} % of a core")

@@ -1,14 +1,10 @@
-"""How well does valve_node keep time? `python -m benchmarks.nodes.timing`, or with `--gas`.
+"""How well does valve_node keep time? `python -m benchmarks.nodes.timing`.
 
 Starts valve_node as a process, commands full strokes (9 V, 0 V) at 50 Hz from this one, listens, and prints: steps
 lost, lateness, share of a core, command to first changed joint_states, and with a warm and a cold compile cache how
 long it takes from the start to the first message, and to the first in which a command shows that was sent as soon as
 that was heard. Beside the share stands that of a process that sleeps and publishes the same bytes over and over: no
 node written with rclpy takes less.
-
-`--gas`: what gas costs at 1 kHz, in points of a core. Three nodes side by side, to which nobody listens: without gas,
-with a tank and a dead end behind it, and with a demand, so that it flows while the valve is open. Each opens and closes
-once in two seconds.
 
 Wants a quiet machine with two cores; needs ROS 2.
 """
@@ -24,16 +20,16 @@ from collections.abc import Iterator
 from typing import Any, Final
 
 import numpy as np
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from nodes.ros_process import cpu_seconds
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
 from benchmarks.common import parser
-from benchmarks.nodes.driver import processor_seconds, program, ros, running, spinning, values_of
-from valve_sim.files.resources import config_path
+from benchmarks.nodes.driver import program, ros, running, values_of
 
 RATE: Final = 1000.0
 COMMAND_RATE: Final = 50.0
@@ -74,8 +70,6 @@ WANTED: Final = {
     "command to first changed joint_states p99 (ms)": 2.5,
     "start to first message, warm (s)": 1.5,
     "start to first message, cold (s)": 4.0,
-    "points of a core that gas adds, dead_end": 2.0,
-    "points of a core that gas adds, demand": 2.0,
 }
 
 
@@ -108,10 +102,22 @@ class Listener:
 
 @contextlib.contextmanager
 def listening() -> Iterator[Listener]:
-    """A listener in a thread of its own."""
-    listener = Listener()
-    with spinning(listener.node):
+    """A listener in a thread of its own, so that it hears while this one sends."""
+    listener, executor = Listener(), SingleThreadedExecutor()
+    executor.add_node(listener.node)
+
+    def spin() -> None:
+        with contextlib.suppress(ExternalShutdownException):
+            executor.spin()
+
+    thread = threading.Thread(target=spin, daemon=True)
+    thread.start()
+    try:
         yield listener
+    finally:
+        executor.shutdown()
+        thread.join(2.0)
+        listener.node.destroy_node()
 
 
 def share_of_floor(duration: float) -> float:
@@ -124,9 +130,9 @@ def share_of_floor(duration: float) -> float:
 
 def share_while(process_id: int, work: Any) -> float:
     """What a process takes of a core while something is done here, %."""
-    used, start = processor_seconds(process_id), time.monotonic()
+    used, start = cpu_seconds(process_id), time.monotonic()
     work()
-    return 100.0 * (processor_seconds(process_id) - used) / (time.monotonic() - start)
+    return 100.0 * (cpu_seconds(process_id) - used) / (time.monotonic() - start)
 
 
 def seconds_to_first_messages(**environment: str) -> tuple[float, float]:
@@ -215,57 +221,13 @@ def measure_timing(duration: float) -> dict[str, float]:
     return figures
 
 
-# --- what gas costs ---------------------------------------------------------------------------------------------------
-
-
-def measure_gas(duration: float) -> dict[str, float]:
-    """Shares of a core, counted from when all nodes are at work with their models compiled, and what gas adds."""
-    tank = config_path("hydrogen_35mpa.yaml")
-    nodes = {
-        "plain": program("valve_node", AT_RATE, namespace="plain"),
-        "dead_end": program("valve_node", AT_RATE, namespace="dead_end", file=tank),
-        "demand": program(
-            "valve_node", AT_RATE, "gas.demand_orifice_diameter:=0.0001", namespace="demand", file=tank
-        ),
-    }  # fmt: skip
-    node = rclpy.create_node("gas_node_cost")
-    commands = {name: node.create_publisher(Float64, f"/{name}/valve/coil_voltage", 10) for name in nodes}
-    with running(nodes) as started:
-        _wait_until_at_work(node, list(nodes))
-        before = {name: processor_seconds(process.pid) for name, process in started.items()}
-        start, count = time.monotonic(), 0
-        while (elapsed := time.monotonic() - start) < duration:
-            for command in commands.values():
-                command.publish(Float64(data=0.0 if count % 2 else 9.0))
-            count += 1
-            time.sleep(1.0)
-        used = {
-            name: 100.0 * (processor_seconds(process.pid) - before[name]) / elapsed for name, process in started.items()
-        }
-    added = {f"points of a core that gas adds, {name}": used[name] - used["plain"] for name in nodes if name != "plain"}
-    return {**{f"share of a core, {name} (%)": share for name, share in used.items()}, **added}
-
-
-def _wait_until_at_work(node: Node, names: list[str]) -> None:
-    """Listen to each until it has published, and no longer."""
-    silent = set(names)
-    heard = {name: (lambda _, name=name: silent.discard(name)) for name in names}
-    ears = [node.create_subscription(JointState, f"/{name}/valve/joint_states", heard[name], 1) for name in names]
-    while silent:
-        rclpy.spin_once(node, timeout_sec=0.1)
-    for ear in ears:
-        node.destroy_subscription(ear)
-    time.sleep(2.0)
-
-
 def main() -> int:
     """Measure and print; 1 if a figure falls short."""
     known = parser("nodes.timing", __doc__)
     known.add_argument("--seconds", type=float, default=60.0, help="how long to command strokes (default: 60)")
-    known.add_argument("--gas", action="store_true", help="what gas costs, in place of all else")
     options = known.parse_args()
     with ros():
-        figures = (measure_gas if options.gas else measure_timing)(options.seconds)
+        figures = measure_timing(options.seconds)
     for name, value in figures.items():
         most = WANTED.get(name)
         verdict = "" if most is None else f"   wanted at most {most:g}: {'yes' if value <= most else 'NO'}"

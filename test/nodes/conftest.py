@@ -11,6 +11,8 @@ from own_domain import own_domain
 
 from valve_sim.nodes.starting import installed_rclpy, offer_profile
 
+from .ros_process import Probe
+
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     if importlib.util.find_spec("rclpy") is None:
@@ -29,3 +31,20 @@ def in_own_domain() -> Iterator[None]:
         for name, value in {**wanted, **own}.items():
             patch.setenv(name, value)
         yield
+
+
+@pytest.fixture(scope="module")
+def ros(in_own_domain: None) -> Iterator[None]:
+    """ROS in this process; the test is skipped where there is none."""
+    rclpy = pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
+    rclpy.init()
+    yield
+    rclpy.try_shutdown()
+
+
+@pytest.fixture
+def probe(ros: None, request: pytest.FixtureRequest) -> Iterator[Probe]:
+    """A node that talks to the one that is tested: the module's TARGET, or /valve."""
+    probe = Probe(getattr(request.module, "TARGET", "/valve"))
+    yield probe
+    probe.close()

@@ -6,6 +6,7 @@ import contextlib
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -36,6 +37,13 @@ def slowness() -> float:
     while time.thread_time() - used < 0.05:
         pass
     return max(1.0, (time.monotonic() - begin) / (time.thread_time() - used))
+
+
+def free_port() -> int:
+    """A port of this machine that nothing listens on."""
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        return int(found.getsockname()[1])
 
 
 def own_lines(output: str) -> list[str]:
@@ -118,6 +126,30 @@ def running(
 
 
 @contextlib.contextmanager
+def beside(
+    folder: Path, name: str, arguments: Sequence[str] = (), program: str = "valve_node", **environment: str
+) -> Iterator[tuple[Probe, NodeProcess]]:
+    """A node of this full name, and a probe of it."""
+    namespace, _, base = name.rpartition("/")
+    words = ["--ros-args", "-r", f"__node:={base}", "-r", f"__ns:={namespace or '/'}", *arguments]
+    probe = Probe(name)
+    try:
+        with running(folder, words, program, **environment) as process:
+            yield probe, process
+    finally:
+        probe.close()
+
+
+def ended(process: subprocess.Popen[str], number: int | None = None, code: int = 0) -> str:
+    """What a program of `piped` has said, once it has ended with this code; after a signal, if one is given."""
+    if number is not None:
+        process.send_signal(number)
+    _, said = process.communicate(timeout=ENDS_WITHIN)
+    assert process.returncode == code, said
+    return said
+
+
+@contextlib.contextmanager
 def piped(folder: Path, program: Sequence[str], **parameters: object) -> Iterator[subprocess.Popen[str]]:
     """Python with a program that takes ROS parameters, while inside; its stderr is a pipe, read when it has ended."""
     pairs = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
@@ -128,6 +160,35 @@ def piped(folder: Path, program: Sequence[str], **parameters: object) -> Iterato
             yield process
         finally:
             end(process)
+
+
+class Diagnostics:
+    """What nodes say on /diagnostics from now on.
+
+    Args:
+        probe: hears it. node: of whose statuses it is asked; the name without its first slash.
+    """
+
+    def __init__(self, probe: Probe, node: str = "") -> None:
+        from diagnostic_msgs.msg import DiagnosticArray
+
+        self._node = node or probe.target[1:]
+        self.heard = probe.hear("/diagnostics", DiagnosticArray)
+
+    def all(self, task: str, since: int = 0) -> list[Any]:
+        """The statuses of a task, oldest first; those of a stamp, ns, and later."""
+        name = f"{self._node}: {task}"
+        fresh = (one for one in self.heard if one.header.stamp.sec * 10**9 + one.header.stamp.nanosec >= since)
+        return [status for message in fresh for status in message.status if status.name == name]
+
+    def values(self, task: str) -> dict[str, Any]:
+        """Keys, values and the level of a task's last status; nothing before the first."""
+        said = self.all(task)
+        return {**{pair.key: pair.value for pair in said[-1].values}, "level": said[-1].level[0]} if said else {}
+
+    def is_said(self, task: str, level: int, words: str = "") -> bool:
+        """Whether a status of this task has had this level and words."""
+        return any(status.level[0] == level and words in status.message for status in self.all(task))
 
 
 class Probe:

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from valve_sim.files.parameter_files import load_valve
-from valve_sim.model import EventKind, ParameterError, Stepper
+from valve_sim.model import EventKind, Stepper
 from valve_sim.station.dispenser import Dispensed, Dispenser
-from valve_sim.station.tables import DispenserSettings, dispenser_settings
+from valve_sim.station.tables import DispenserSettings
 
 CONFIG = Path(__file__).parents[2] / "config"
 MEGA = 1e6
@@ -21,7 +21,7 @@ class OpenPipes:
     """Valves without delay: the pipe behind one has the tank's pressure while it is open, and else that of the line."""
 
     def __init__(self, **settings: object) -> None:
-        self.settings = dispenser_settings(settings, {})
+        self.settings = DispenserSettings.read(settings, {})
         self.dispenser = Dispenser(self.settings)
         self.said: list[str] = []
         self.shown: list[Dispensed] = []
@@ -154,23 +154,3 @@ def test_the_valves_of_the_station_fill_a_vehicle() -> None:
     for pressure, start in zip(shown.tank_pressures, DispenserSettings().tank_pressures, strict=True):
         assert start - 0.02 * MEGA < pressure < start
     assert balance(dispenser) == pytest.approx(before, abs=1e-9 * dispenser.mass)
-
-
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        ({"tank_pressure": 1e6}, "command line: tank_pressure: found 1000000.0 under an unknown name; expected a "),
-        ({"tank_volumes": [0.1, 0.1]}, "tank_volumes: found 2 numbers, expected 3, one for each of valves"),
-        ({"tank_pressures": [0.0, 1e6, 1e6]}, "command line: tank_pressures[0]: found 0"),
-        ({"valves": "tank_1/valve"}, "command line: valves: found 'tank_1/valve', expected a list of names"),
-        ({"valves": ["a", "a", "b"]}, "valves: found a, a, b, expected each valve once"),
-        ({"fluid": "water"}, "command line: fluid: found 'water', expected one of hydrogen, nitrogen, helium, air"),
-        ({"line_volume": math.nan}, "command line: line_volume: found nan"),
-        ({"target_pressure": 1e6}, "target_pressure: found 1e+06 Pa, expected more than vehicle_pressure, 2e+06 Pa"),
-    ],
-)
-def test_what_cannot_be_used_is_refused_in_one_line(given: dict[str, object], message: str) -> None:
-    with pytest.raises(ParameterError) as refused:
-        dispenser_settings(given, {})
-    assert str(refused.value).startswith(message)
-    assert "\n" not in str(refused.value)

@@ -11,15 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from nodes.ros import BatteryState, JointState, deserialize_message, serialize_message
+from valve_sim.nodes.messages import UnusableMessageError, coils, joint_states
 from valve_sim.traces.cdr import find_layout, typestore
 
 pytestmark = pytest.mark.ros
-pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
 
-from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
-from sensor_msgs.msg import BatteryState, JointState  # noqa: E402
-
-from valve_sim.nodes.messages import UnusableMessageError, coils, joint_states  # noqa: E402
 
 PILOT = "pilot_plunger"
 NUMBERS = st.floats(width=64)

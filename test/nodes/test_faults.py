@@ -9,22 +9,23 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from .ros_process import NodeProcess, Probe, running
+from nodes.ros import (
+    LATCHED,
+    Bool,
+    Clock,
+    Float64,
+    JointState,
+    Time,
+    UInt8,
+)
 
-pytestmark = [pytest.mark.ros, pytest.mark.long]
-pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
+from .ros_process import Diagnostics, NodeProcess, Probe, running
 
-import rclpy  # noqa: E402
-from builtin_interfaces.msg import Time  # noqa: E402
-from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
-from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
-from rosgraph_msgs.msg import Clock  # noqa: E402
-from sensor_msgs.msg import JointState  # noqa: E402
-from std_msgs.msg import Bool, Float64, UInt8  # noqa: E402
+pytestmark = [pytest.mark.ros, pytest.mark.long, pytest.mark.usefixtures("ros")]
+
 
 MILLISECOND = 1_000_000
 SECOND = 1_000_000_000
@@ -39,20 +40,6 @@ node = Node("idler")
 node.create_subscription(JointState, "/valve/joint_states", lambda message: print("heard", flush=True), 10)
 rclpy.spin(node)
 """
-
-
-@pytest.fixture(scope="module", autouse=True)
-def ros(in_own_domain: None) -> Iterator[None]:
-    rclpy.init()
-    yield
-    rclpy.try_shutdown()
-
-
-@pytest.fixture
-def probe(ros: None) -> Iterator[Probe]:
-    probe = Probe()
-    yield probe
-    probe.close()
 
 
 @contextlib.contextmanager
@@ -70,21 +57,17 @@ class Ears:
         self.joints = probe.hear("joint_states", JointState)
         self.is_open = probe.hear("is_open", Bool, latched=True)
         self.phases = probe.hear("phase", UInt8, latched=True)
-        self._diagnostics = probe.hear("/diagnostics", DiagnosticArray)
+        self._diagnostics = Diagnostics(probe)
+        self.said = self._diagnostics.all
 
     @property
     def stamps(self) -> list[int]:
         """Of the samples, ns."""
         return [message.header.stamp.sec * SECOND + message.header.stamp.nanosec for message in self.joints]
 
-    def said(self, task: str) -> list[Any]:
-        """All statuses of a task, oldest first."""
-        return [s for message in self._diagnostics for s in message.status if s.name == f"valve: {task}"]
-
     def value(self, task: str, key: str) -> str:
         """The last value that diagnostics gave; empty before the first."""
-        found = self.said(task)
-        return next(item.value for item in found[-1].values if item.key == key) if found else ""
+        return str(self._diagnostics.values(task).get(key, ""))
 
 
 class Streak:
@@ -219,16 +202,6 @@ def test_two_nodes_of_one_name_are_warned_of(probe: Probe, tmp_path: Path) -> No
 
 def test_a_subscriber_of_another_quality_is_said_in_the_log(probe: Probe, tmp_path: Path) -> None:
     with valve(tmp_path) as process:
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        probe.node.create_subscription(JointState, "/valve/joint_states", lambda message: None, latched)
+        probe.node.create_subscription(JointState, "/valve/joint_states", lambda message: None, LATCHED)
         assert probe.until(lambda: "incompatible QoS" in process.output)
         assert "'~/joint_states', requesting incompatible QoS" in process.output
-
-
-def test_a_log_folder_that_is_full_or_closed_is_no_reason_not_to_start(probe: Probe, tmp_path: Path) -> None:
-    closed = tmp_path / "file"
-    closed.write_text("")
-    with running(tmp_path, program="monitor_node", ROS_LOG_DIR=str(closed / "log")) as process:
-        heard = probe.hear("/diagnostics", DiagnosticArray)
-        assert probe.until(lambda: heard)
-        assert f"{closed / 'log'}: cannot be written" in process.output

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from nodes.ros import Float64, JointState, String, Trigger
 from valve_sim.files.parameter_files import default_valve, load_valve
 from valve_sim.files.parameter_sections import read_sections
 from valve_sim.files.resources import config_path
@@ -24,40 +25,14 @@ from valve_sim.identification.reporting.recording_profile import STROKE_LEVELS
 from valve_sim.traces import read_trace
 from valve_sim.traces.synthetic import read_profile
 
-from .ros_process import ENDS_WITHIN, PATIENCE, Probe, cpu_seconds_to_end, piped, running
+from .ros_process import ENDS_WITHIN, PATIENCE, Diagnostics, Probe, ended, piped, running
 
-pytestmark = pytest.mark.ros
-pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
-
-import rclpy  # noqa: E402
-from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
-from sensor_msgs.msg import JointState  # noqa: E402
-from std_msgs.msg import Float64, String  # noqa: E402
-from std_srvs.srv import Trigger  # noqa: E402
-
-MAKER = Path(__file__).resolve().parents[2] / "bags" / "make_samples.py"
+pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("ros")]
+TARGET = "/identification"
 
 
-@pytest.fixture(scope="module", autouse=True)
-def ros(in_own_domain: None) -> Iterator[None]:
-    rclpy.init()
-    yield
-    rclpy.try_shutdown()
-
-
-@pytest.fixture(scope="module")
-def samples(in_own_domain: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The sample bags made anew, with a recording of a valve_node that runs in real time."""
-    folder = tmp_path_factory.mktemp("samples")
-    subprocess.run([sys.executable, str(MAKER), "--folder", str(folder), "--live"], check=True, timeout=ENDS_WITHIN)
-    return folder
-
-
-@pytest.fixture
-def probe(ros: None) -> Iterator[Probe]:
-    probe = Probe("/identification")
-    yield probe
-    probe.close()
+BAGS = Path(__file__).resolve().parents[2] / "bags"
+MAKER = BAGS / "make_samples.py"
 
 
 @pytest.fixture(scope="module")
@@ -99,17 +74,14 @@ def test_a_recorded_live_valve_is_identified_and_another_one_given_its_parameter
     probe: Probe, live: Probe, tmp_path: Path
 ) -> None:
     # The shipped recording of a live run: one made here would hold the stamps of whatever else this machine does.
-    bag = Path(__file__).parents[2] / "bags" / "live.mcap"
+    bag = BAGS / "live.mcap"
     results = probe.hear("result", String, latched=True)
     given: dict[str, object] = {"apply_to": "valve", "linger": "true", "rate": 0}
     with identifying(tmp_path, bag=bag, **given) as process:
         assert probe.until(lambda: results), "no result"
         report = json.loads(results[0].data)
         applied = live.parameters()
-        process.send_signal(signal.SIGINT)
-        assert process.wait(ENDS_WITHIN) == 0
-        assert process.stderr is not None
-        said = process.stderr.read()
+        said = ended(process, signal.SIGINT)
     for name, truth in maker().LIVE_DAMPINGS.items():
         found = report["parameters"][name]
         assert found["ci95"][0] <= truth <= found["ci95"][1]
@@ -128,32 +100,15 @@ def test_a_recorded_live_valve_is_identified_and_another_one_given_its_parameter
     assert written.main_damping == pytest.approx(applied["valve.main_damping"], rel=1e-12)
 
 
-def test_it_ends_when_the_recording_is_played_and_the_result_is_known(samples: Path, ros: None, tmp_path: Path) -> None:
-    with identifying(tmp_path, bag=samples / "one_opening.mcap", rate=0) as process:
-        assert process.wait(ENDS_WITHIN) == 0
-        assert process.stderr is not None
-        said = process.stderr.read()
+def test_it_ends_when_the_recording_is_played_and_the_result_is_known(tmp_path: Path) -> None:
+    with identifying(tmp_path, bag=BAGS / "one_opening.mcap", rate=0) as process:
+        said = ended(process)
     assert f"; see {tmp_path / 'identified.yaml'}" in said
     assert re.search(r"identified: pilot_damping \d\.\d+ ± \d\.\d+ N·s/m, main_damping", said)
     assert "Traceback" not in said
 
 
-def test_a_node_that_is_not_there_is_said_not_to_have_taken_the_result(
-    samples: Path, probe: Probe, tmp_path: Path
-) -> None:
-    results, heard = probe.hear("result", String, latched=True), probe.hear("/diagnostics", DiagnosticArray)
-    bag = samples / "one_opening.mcap"
-    with identifying(tmp_path, bag=bag, apply_to="/nobody", rate=0, linger="true") as process:
-        assert probe.until(lambda: results), "no result"
-        applied = json.loads(results[0].data)["applied"]
-        assert not applied["is_set"]
-        assert applied["node"] == "/nobody"
-        assert probe.until(lambda: b"\x02" in levels(heard, "identification"))
-        process.send_signal(signal.SIGINT)
-        assert process.wait(ENDS_WITHIN) == 1
-
-
-FRICTION = Path(__file__).parents[2] / "bags" / "friction"
+FRICTION = BAGS / "friction"
 """A recording of a valve with Coulomb friction, which the declared one lacks."""
 EXACT = config_path("tank_1.yaml")
 """The shipped valve, its values taken as exact."""
@@ -165,10 +120,7 @@ def test_a_fit_that_leaves_more_than_tolerances_is_not_handed_on(probe: Probe, l
     given: dict[str, object] = {"apply_to": "valve", "linger": "true", "rate": 0}
     with identifying(tmp_path, bag=FRICTION, **given) as process:
         assert probe.until(lambda: results), "no result"
-        process.send_signal(signal.SIGINT)
-        assert process.wait(ENDS_WITHIN) == 1
-        assert process.stderr is not None
-        said = process.stderr.read()
+        said = ended(process, signal.SIGINT, 1)
         assert (live.parameters()["valve.pilot_damping"], live.parameters()["valve.main_damping"]) == (1.0, 4.0)
     applied = json.loads(results[0].data)["applied"]
     assert not applied["is_set"]
@@ -197,10 +149,7 @@ def test_what_was_set_all_the_same_can_be_undone(probe: Probe, live: Probe, tmp_
         probe.call("undo", Trigger)
         assert live.parameters() == {**before, "frame_id": "tank"}, "what others set meanwhile stays"
         assert not probe.call("undo", Trigger).success, "there is nothing left to undo"
-        process.send_signal(signal.SIGINT)
-        assert process.wait(ENDS_WITHIN) == 0
-        assert process.stderr is not None
-        said = process.stderr.read()
+        said = ended(process, signal.SIGINT)
     assert "is given the result although the residual is not white" in said
     assert "/valve has its own values again: " in said
     (section,) = read_sections(tmp_path / "before.yaml")
@@ -209,23 +158,17 @@ def test_what_was_set_all_the_same_can_be_undone(probe: Probe, live: Probe, tmp_
     assert {"valve.main_damping", "effects.coulomb_friction.force", "tolerances"} <= section.values.keys()
 
 
-def levels(heard: list[Any], task: str) -> list[bytes]:
-    name = f"identification: {task}"
-    return [status.level for message in heard for status in message.status if status.name == name]
-
-
-def test_the_replay_is_the_recording_beside_the_model(samples: Path, probe: Probe, tmp_path: Path) -> None:
-    bag = samples / "one_opening.mcap"
+def test_the_replay_is_the_recording_beside_the_model(probe: Probe, tmp_path: Path) -> None:
+    bag = BAGS / "one_opening.mcap"
     trace = read_trace(bag)
     measured, predicted = ByStamp(probe, "measured/joint_states"), ByStamp(probe, "predicted/joint_states")
     residuals, volts = probe.hear("residual", Float64), probe.hear("coil_voltage", Float64)
-    heard = probe.hear("/diagnostics", DiagnosticArray)
+    heard = Diagnostics(probe)
     stamps = {trace.epoch_ns + round(time * 1e9) for time in trace.times.tolist()}
     with identifying(tmp_path, bag=bag, rate=0.05, loop="true") as process:
         assert probe.until(lambda: measured.messages.keys() == predicted.messages.keys() == stamps)
-        assert probe.until(lambda: volts and b"\x00" in levels(heard, "replay"))
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(ENDS_WITHIN) == 0
+        assert probe.until(lambda: volts and heard.is_said("replay", 0))
+        ended(process, signal.SIGTERM)
     positions = measured.positions()
     np.testing.assert_array_equal(positions, trace.pilot_position)
     assert np.std(positions - predicted.positions()) < 3e-6
@@ -249,16 +192,16 @@ class ByStamp:
 
 
 @pytest.mark.any_distribution
-def test_a_diagnosis_is_published_too(samples: Path, probe: Probe, tmp_path: Path) -> None:
+def test_a_diagnosis_is_published_too(probe: Probe, tmp_path: Path) -> None:
     results = probe.hear("result", String, latched=True)
-    heard = probe.hear("/diagnostics", DiagnosticArray)
+    heard = Diagnostics(probe)
     profile = tmp_path / "record_next.yaml"
-    bag = samples / "one_opening.mcap"
+    bag = BAGS / "one_opening.mcap"
     # It declares friction that this valve has not: one stroke cannot tell that from a constant force.
     given: dict[str, object] = {"params": config_path("tank_2.yaml"), "mode": "diagnose", "budget": 4.0}
     with identifying(tmp_path, bag=bag, rate=0, linger="true", **given):
         assert probe.until(lambda: results, 3 * PATIENCE), "no result"
-        assert probe.until(lambda: is_said(f"and {profile} for what to record next", heard))
+        assert probe.until(lambda: heard.is_said("identification", 0, f"and {profile} for what to record next"))
     report = json.loads(results[0].data)
     assert report["schema"] == "valve_sim/diagnosis/2"
     assert load_valve(tmp_path / "corrected.yaml").parameters.stroke == 1.23e-3
@@ -266,25 +209,9 @@ def test_a_diagnosis_is_published_too(samples: Path, probe: Probe, tmp_path: Pat
     assert set(volts_at(default_valve(), STROKE_LEVELS)) <= set(read_profile(profile).volts)
 
 
-def is_said(words: str, heard: list[Any]) -> bool:
-    """Whether diagnostics say so."""
-    return any(words in status.message for message in heard for status in message.status)
-
-
-def test_a_signal_ends_it_at_work_with_code_0(samples: Path, probe: Probe, tmp_path: Path) -> None:
-    measured = probe.hear("measured/joint_states", JointState)
-    with identifying(tmp_path, bag=samples / "eight_strokes.mcap", rate=0, loop="true") as process:
-        assert probe.until(lambda: measured)
-        assert cpu_seconds_to_end(process.pid, signal.SIGINT) < 5.0, "it ends at the next word of progress"
-        assert process.wait() == 0
-        assert process.stderr is not None
-        assert "Traceback" not in process.stderr.read()
-    assert not list(tmp_path.glob("*.partial"))
-
-
 @pytest.mark.any_distribution
 def test_a_loggers_table_is_identified_by_its_map(ros: None, tmp_path: Path) -> None:
-    trace = read_trace(Path(__file__).parents[2] / "bags" / "one_opening.mcap")
+    trace = read_trace(BAGS / "one_opening.mcap")
     volts = np.where(trace.times < trace.drive.times[0], 0.0, trace.drive.volts[0])
     rows = np.column_stack([trace.times, volts, 1e3 * trace.pilot_position])
     np.savetxt(tmp_path / "logger.csv", rows, delimiter=",", header="t,U,lift")
@@ -293,10 +220,3 @@ def test_a_loggers_table_is_identified_by_its_map(ros: None, tmp_path: Path) -> 
     with identifying(tmp_path, bag=tmp_path / "logger.csv", map=lab, rate=0) as process:
         assert process.wait(ENDS_WITHIN) == 0
     assert (tmp_path / "identified.yaml").exists()
-    lab.write_text("time: t\ncommand: U\nposition: {column: lift, unit: m}\n")
-    with identifying(tmp_path / "none", bag=tmp_path / "logger.csv", map=lab, rate=0) as process:
-        assert process.wait(ENDS_WITHIN) != 0
-        assert process.stderr is not None
-        said = process.stderr.read()
-    assert "column lift: pilot_plunger travels" in said
-    assert "Traceback" not in said

@@ -1,4 +1,4 @@
-"""bags/make_samples.py --live, killed at work: nothing of it stays behind."""
+"""bags/make_samples.py --live makes the shipped recordings; killed at work, it leaves nothing behind."""
 
 from __future__ import annotations
 
@@ -12,9 +12,12 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from .ros_process import PATIENCE
+from valve_sim.traces import read_trace
+
+from .ros_process import ENDS_WITHIN, PATIENCE
 
 pytestmark = [
     pytest.mark.ros,
@@ -49,6 +52,15 @@ def until(condition: Callable[[], object]) -> bool:
             return False
         time.sleep(0.02)
     return True
+
+
+def test_what_is_shipped_is_what_it_makes_and_a_live_valve_is_recorded(in_own_domain: None, tmp_path: Path) -> None:
+    command = [sys.executable, str(MAKER), "--folder", str(tmp_path), "--live"]
+    subprocess.run(command, check=True, timeout=ENDS_WITHIN, env={**os.environ, "ROS_LOG_DIR": str(tmp_path / "log")})
+    for name in ("one_opening.mcap", "eight_strokes.mcap"):
+        made, shipped = read_trace(tmp_path / name), read_trace(MAKER.parent / name)
+        assert np.max(np.abs(made.pilot_position - shipped.pilot_position)) < 1e-9
+    assert np.max(read_trace(tmp_path / "live.mcap").pilot_position) > 1.2e-3, "it opens"
 
 
 def test_the_valve_that_is_recorded_ends_with_who_records_it(in_own_domain: None, tmp_path: Path) -> None:

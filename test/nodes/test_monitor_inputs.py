@@ -7,15 +7,12 @@ from typing import Any
 
 import pytest
 
+from nodes.ros import BatteryState, Float64, FluidPressure, JointState, serialize_message
+from valve_sim.nodes.monitor_inputs import MonitorInputs, Takers
+from valve_sim.nodes.realtime import Arrival, ClockReading
+
 pytestmark = pytest.mark.ros
-pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
 
-from rclpy.serialization import serialize_message  # noqa: E402
-from sensor_msgs.msg import BatteryState, FluidPressure, JointState  # noqa: E402
-from std_msgs.msg import Float64  # noqa: E402
-
-from valve_sim.nodes.monitor_inputs import MonitorInputs, Takers  # noqa: E402
-from valve_sim.nodes.realtime import Arrival, ClockReading  # noqa: E402
 
 ENDS = ("inlet_pressure", "demand_pressure")
 

@@ -16,41 +16,20 @@ import numpy as np
 import pytest
 from identification.live_strokes import LiveValve
 
-from valve_sim.files.parameter_files import load_valve
+from nodes.ros import DiagnosticArray, Float64, JointState, String, Trigger
 from valve_sim.records.calibration import load_changes, save_record
 
-from .dumps import TOLERATED, dump
 from .plant_on_topics import PlantOnTopics
-from .ros_process import ENDS_WITHIN, PATIENCE, Probe, piped, running
+from .ros_process import PATIENCE, Diagnostics, Probe, ended, piped, running
 from .test_calibration_watch import signed
 
-pytestmark = pytest.mark.ros
-pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
+pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("ros")]
 
-import rclpy  # noqa: E402
-from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
-from sensor_msgs.msg import JointState  # noqa: E402
-from std_msgs.msg import Float64, String  # noqa: E402
-from std_srvs.srv import Trigger  # noqa: E402
 
 FEW = 8
 """Commissioning strokes, the fewest that are allowed."""
 EXACT: dict[str, object] = {"valve.pilot_mass": 0.109}
 """One declared value, as it is shipped: the others are then exact, and there is less to estimate."""
-
-
-@pytest.fixture(scope="module", autouse=True)
-def ros(in_own_domain: None) -> Iterator[None]:
-    rclpy.init()
-    yield
-    rclpy.try_shutdown()
-
-
-@pytest.fixture
-def probe(ros: None) -> Iterator[Probe]:
-    probe = Probe("/valve")
-    yield probe
-    probe.close()
 
 
 def monitoring(folder: Path, **parameters: object) -> contextlib.AbstractContextManager[subprocess.Popen[str]]:
@@ -66,26 +45,13 @@ class Ears:
         self.probe = probe
         self.reports = probe.hear("/monitor/stroke_report", String)
         self.findings = probe.hear("/monitor/finding", DiagnosticArray, latched=True)
-        self.diagnostics = probe.hear("/diagnostics", DiagnosticArray)
+        self.diagnostics = Diagnostics(probe, "monitor")
+        self.is_said = self.diagnostics.is_said
         self.voltage = probe.talker("coil_voltage", Float64)
-
-    def is_said(self, task: str, level: int, words: str = "") -> bool:
-        """Whether a status of this task has had this level and words."""
-        return any(
-            status.level == bytes([level]) and words in status.message
-            for message in self.diagnostics
-            for status in message.status
-            if status.name == f"monitor: {task}"
-        )
-
-    def speaks(self) -> bool:
-        """Whether the monitor itself has said something: a valve beside it has its own diagnostics."""
-        return any(status.name == "monitor: input" for message in self.diagnostics for status in message.status)
 
     def input_counts(self) -> tuple[int, int]:
         """How many samples were taken and how many rejected, as was said last."""
-        said = [s for message in self.diagnostics for s in message.status if s.name == "monitor: input"]
-        values = {pair.key: pair.value for pair in said[-1].values}
+        values = self.diagnostics.values("input")
         return int(values["samples"]), int(values["rejected"])
 
     def ready(self) -> None:
@@ -133,7 +99,7 @@ def lab_joints(message: Any) -> Any:
 @pytest.mark.any_distribution
 def test_a_valve_with_topics_and_units_of_its_own_is_watched_by_a_map(probe: Probe, tmp_path: Path) -> None:
     (tmp_path / "lab.yaml").write_text(LAB)
-    plant = PlantOnTopics(probe, LiveValve(seed=5, rate=2e3, jitter=0.0))
+    plant = PlantOnTopics(probe, LiveValve(seed=5, rate=1e3, jitter=0.0))
     plant._samples = Relayed(probe.talker("/plc/joints", JointState, 1000), lab_joints)
     plant._voltage = Relayed(probe.talker("/plc/volts", Float64), lambda message: Float64(data=1e3 * message.data))
     ears = Ears(probe)
@@ -150,8 +116,7 @@ def test_a_valve_with_topics_and_units_of_its_own_is_watched_by_a_map(probe: Pro
             lambda: plant._samples.publish(JointState(position=[-1.0])),
             lambda: ears.is_said("input", 1, "/plc/joints: -1 m, expected metres"),
         )
-        process.send_signal(signal.SIGINT)
-        assert process.wait(ENDS_WITHIN) == 0
+        ended(process, signal.SIGINT)
 
 
 @pytest.mark.long
@@ -194,9 +159,7 @@ def test_friction_that_appears_in_a_real_valve_is_warned_of_and_named(probe: Pro
         plant.strokes(8, {"coulomb_friction": {"force": 0.3}})
         assert probe.until(lambda: len(findings) > 1, 2 * PATIENCE), "no second finding"
         told = [message.status[0].message for message in findings]
-        process.send_signal(signal.SIGTERM)
-        _, said = process.communicate(timeout=ENDS_WITHIN)
-        assert process.returncode == 0
+        said = ended(process, signal.SIGTERM)
         assert said.count(told[0]) == 1
         assert not any(words in said for words in told[1:] if words != told[0])
 
@@ -204,7 +167,7 @@ def test_friction_that_appears_in_a_real_valve_is_warned_of_and_named(probe: Pro
 @pytest.mark.any_distribution
 def test_what_commissioning_found_survives_a_restart_until_it_is_asked_for_anew(probe: Probe, tmp_path: Path) -> None:
     state = tmp_path / "kept" / "tank.json"
-    plant = PlantOnTopics(probe, LiveValve(seed=5, rate=2e3, jitter=0.0))
+    plant = PlantOnTopics(probe, LiveValve(seed=5, rate=1e3, jitter=0.0))
     numbers = probe.hear("/monitor/stroke_diagnostics", DiagnosticArray)
     given = {"measured": "measured/joint_states", "use_sim_time": True, "max_rate": 1e5, "state": state, **EXACT}
     with monitoring(tmp_path, **given) as process:
@@ -213,8 +176,7 @@ def test_what_commissioning_found_survives_a_restart_until_it_is_asked_for_anew(
         assert probe.until(lambda: state.exists() and numbers_of(FEW + 1, numbers))
         values = numbers_of(FEW + 1, numbers)
         assert float(values["t2 (ms)"]) == pytest.approx(1e3 * reports[FEW + 1]["t2"], rel=1e-4)
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(ENDS_WITHIN) == 0
+        ended(process, signal.SIGTERM)
     plant.predicted.clear()
     with monitoring(tmp_path, **given):
         plant.wait_for_monitor()
@@ -299,28 +261,6 @@ def joints(names: list[str], positions: list[float]) -> JointState:
     return message
 
 
-def test_its_parameters_are_dumped_as_a_file_of_the_same_valve(ros: None, tmp_path: Path) -> None:
-    path = tmp_path / "tolerances.yaml"
-    path.write_text(TOLERATED)
-    declared = load_valve(path)
-    monitor = Probe("/monitor")
-    try:
-        arguments = ["--ros-args", "-p", "valve_node:=/tank_1/valve", "--params-file", str(path)]
-        with running(tmp_path, arguments, "monitor_node") as process:
-            values = monitor.parameters()
-            assert monitor.until(lambda: "hears /tank_1/valve/coil_voltage" in process.output)
-    finally:
-        monitor.close()
-    assert values["valve_node"] == "/tank_1/valve"
-    assert load_valve(dump(values, tmp_path / "dump.yaml", "/monitor")) == declared
-
-
-def test_the_former_name_of_the_watched_node_counts_and_is_warned_of(ros: None, probe: Probe, tmp_path: Path) -> None:
-    with running(tmp_path, ["--ros-args", "-p", "valve:=/tank_1/valve"], "monitor_node") as process:
-        assert probe.until(lambda: "hears /tank_1/valve/coil_voltage" in process.output)
-        assert "parameter valve is called valve_node now" in process.output
-
-
 @pytest.mark.any_distribution
 def test_an_expired_calibration_is_a_warning_and_another_declared_value_goes_to_its_journal(
     probe: Probe, tmp_path: Path
@@ -331,9 +271,7 @@ def test_an_expired_calibration_is_a_warning_and_another_declared_value_goes_to_
     with monitoring(tmp_path, calibration=path, **{"valve.spring_rate": 431.0}) as process:
         words = "the calibration of SN-7 expired on 2020-12-31; calibrate it anew"
         assert probe.until(lambda: ears.is_said("calibration", 1, words))
-        process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=ENDS_WITHIN)
-        assert process.returncode == 0
+        said = ended(process, signal.SIGINT)
     assert "Traceback" not in said
     assert said.count(words) == 1
     assert "changed since the calibration: valve.spring_rate 428.0 → 431.0" in said

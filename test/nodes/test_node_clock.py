@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from nodes.ros import rclpy
+from valve_sim.nodes.node_clock import NodeClock
+from valve_sim.nodes.realtime import NANOSECONDS, ClockReading
+
 pytestmark = pytest.mark.ros
-pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
 
-import rclpy  # noqa: E402
-
-from valve_sim.nodes.node_clock import NodeClock  # noqa: E402
-from valve_sim.nodes.realtime import NANOSECONDS, ClockReading  # noqa: E402
 
 EPOCH = 1_700_000_000 * NANOSECONDS
 

@@ -13,17 +13,17 @@ from valve_sim.files.parameter_files import default_valve
 from valve_sim.files.parameter_sections import Section
 from valve_sim.model import CATALOGUE, EXACT, ParameterError, Tolerances, ValveParameters
 from valve_sim.model.gas import GasParameters
-from valve_sim.nodes.parameters import as_declared, files_for_others, settings_of, sources_of
+from valve_sim.nodes.parameters import as_declared, files_for_others, sources_of
 from valve_sim.nodes.valve_parameters import (
     VALVE_KEYS,
-    Settings,
+    ValveSettings,
     check_with_valve,
-    table,
     valve_of,
+    valve_table,
     with_tolerances,
 )
 
-ENTRIES = table(default_valve())
+ENTRIES = ValveSettings.table()
 DEFAULTS = {name: entry.default for name, entry in ENTRIES.items()}
 KNOWN = ((0.01, 2.0, 0.0, 0.0), (2.0, 1e4, 0.0, 0.0), (0.0, 0.0, 1e9, 0.0), (0.0, 0.0, 0.0, 0.0))
 EXACT_VALUES = {**DEFAULTS, "tolerances": ""}
@@ -59,7 +59,7 @@ def test_the_table_holds_the_valve_every_effect_and_the_settings() -> None:
 )
 def test_shipped_tolerances_are_those_of_the_shipped_valve_only(given: dict[str, object], keeps: bool) -> None:
     shipped = replace(default_valve(), tolerances=Tolerances({"pilot_gap": 4e-6}, KNOWN, {}))
-    valve = valve_of(check_overrides(given, table(shipped), {}), "here")
+    valve = valve_of(check_overrides(given, {**ENTRIES, **valve_table(shipped)}, {}), "here")
     stated = replace(EXACT, declared={"stroke": 1e-3}) if "tolerances.stroke" in given else EXACT
     assert valve.tolerances == (shipped.tolerances if keeps else stated)
     assert valve.parameters._replace(stroke=0.0) == default_valve().parameters._replace(stroke=0.0)
@@ -117,7 +117,7 @@ def test_a_text_that_holds_no_tolerances_is_refused(text: str) -> None:
 def test_the_defaults_are_the_default_valve_and_pass_their_own_checks() -> None:
     assert {name: entry.check(entry.default, "here") for name, entry in ENTRIES.items()} == DEFAULTS
     assert valve_of(DEFAULTS, "here") == default_valve()
-    settings = settings_of(Settings, DEFAULTS)
+    settings = ValveSettings.of(DEFAULTS)
     assert (settings.publish_rate, settings.time_scale, settings.command_timeout) == (1000.0, 1.0, 0.0)
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from valve_sim.model import Drive, ParameterError, ValveError
+from valve_sim.model import Drive, ValveError
 from valve_sim.nodes.profile_playing import (
     Commanded,
     ProfileBrokenOffError,
@@ -14,7 +14,6 @@ from valve_sim.nodes.profile_playing import (
     as_csv,
     checked_profile,
     play,
-    profile_settings,
 )
 from valve_sim.nodes.realtime import NANOSECONDS, ClockReading
 from valve_sim.traces.synthetic import read_profile
@@ -31,7 +30,7 @@ class HandClock:
         self.jump: int | None = None
 
     def read(self) -> ClockReading | None:
-        return ClockReading(self.now, True)
+        return ClockReading(self.now, False)
 
     def sleep_until(self, deadline: int) -> None:
         self.now = deadline + self.late if self.jump is None else self.now + self.jump
@@ -89,18 +88,3 @@ def test_a_profile_that_may_not_be_commanded_is_refused_in_one_line(tmp_path: Pa
         checked_profile(ProfileSettings(str(path)))
     assert str(refused.value).startswith(f"{path}: ")
     assert "\n" not in str(refused.value)
-
-
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
-        ({}, "profile: not given"),
-        ({"profil": "x"}, "did you mean profile"),
-        ({"profile": 3}, "expected text"),
-        ({"profile": "x", "max_voltage": float("nan")}, "expected a number at least 0 V"),
-        ({"profile": "x", "patience": True}, "expected a number in s"),
-    ],
-)
-def test_parameters_that_cannot_be_used_are_refused(given: dict[str, object], words: str) -> None:
-    with pytest.raises(ParameterError, match=words):
-        profile_settings(given, {})

@@ -9,32 +9,27 @@ from typing import Any
 
 import pytest
 
+from nodes.ros import (
+    Float64,
+    Parameter,
+    QoSProfile,
+    ReliabilityPolicy,
+    SingleThreadedExecutor,
+    Subscription,
+    UInt8,
+    rclpy,
+)
+from valve_sim.nodes.node_clock import NodeClock
+from valve_sim.nodes.realtime import Arrival
+from valve_sim.nodes.receiving import MOST_STORED, Inbox
+
 from .ros_process import ENDS_WITHIN, Probe
 
 pytestmark = pytest.mark.ros
-pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
+TARGET = "/heard"
 
-import rclpy  # noqa: E402
-from rclpy.executors import SingleThreadedExecutor  # noqa: E402
-from rclpy.parameter import Parameter  # noqa: E402
-from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
-from rclpy.subscription import Subscription  # noqa: E402
-from std_msgs.msg import Float64, UInt8  # noqa: E402
-
-from valve_sim.nodes.node_clock import NodeClock  # noqa: E402
-from valve_sim.nodes.realtime import Arrival  # noqa: E402
-from valve_sim.nodes.receiving import MOST_STORED, Inbox  # noqa: E402
 
 RELIABLE = QoSProfile(depth=1000)
-
-
-@pytest.fixture
-def probe(in_own_domain: None) -> Iterator[Probe]:
-    rclpy.init()
-    probe = Probe("/heard")
-    yield probe
-    probe.close()
-    rclpy.try_shutdown()
 
 
 class Hearing:
@@ -99,17 +94,6 @@ def send_until_heard(probe: Probe, node: Hearing, publisher: Any, number: float)
         return number in node.heard
 
     assert probe.until(sent)
-
-
-def test_messages_are_taken_by_the_thread_that_delivers_though_nobody_spins_the_node(
-    probe: Probe, hearing: Callable[..., Hearing]
-) -> None:
-    node = hearing(spinning=False)
-    source = node.inbox.subscribe(Float64, "~/volts", node.take, RELIABLE)
-    assert source.topic == "/heard/volts"
-    assert not node.inbox.deliver()
-    send_until_heard(probe, node, probe.talker("volts", Float64), 4.5)
-    assert node.threads == {threading.current_thread()}
 
 
 @pytest.mark.parametrize("way", ["polled", "by the executor", "in simulated time"])
@@ -209,6 +193,7 @@ def test_what_nobody_takes_is_bounded(probe: Probe, hearing: Callable[..., Heari
 def test_a_publisher_that_cannot_be_heard_is_counted(probe: Probe, hearing: Callable[..., Hearing]) -> None:
     node = hearing()
     source = node.inbox.subscribe(Float64, "~/volts", node.take, RELIABLE)
+    assert source.topic == "/heard/volts"
     assert source.incompatible_publishers == 0
     probe.talker("volts", Float64, QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT))
     assert probe.until(lambda: source.incompatible_publishers == 1)

@@ -1,14 +1,19 @@
-"""What handing parameters on says, without a node."""
+"""Handing parameters on to another node: what is said of it, and a reply that is lost on the way."""
 
 from __future__ import annotations
 
+import contextlib
 import math
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
-pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
-
+import nodes.ros  # noqa: F401
 from valve_sim.identification.estimation.intervals import Interval
+from valve_sim.model import ParameterError
+from valve_sim.nodes import identification
 from valve_sim.nodes.identification import changes_between
 
 
@@ -47,3 +52,40 @@ def test_each_tolerance_that_changes_has_a_line_of_its_own() -> None:
         "tolerances.effects.stiction.force: 0 → 0.01 N",
         "tolerances.pilot_mass: 0.0005 → 0 kg",
     }
+
+
+class Forgetful:
+    """A client of a node's parameters; the replies to its first questions are lost."""
+
+    def __init__(self, lost: float, *, is_there: bool = True, reason: str = "") -> None:
+        self.lost, self.is_there, self.asked = lost, is_there, 0
+        self._reply = SimpleNamespace(result=SimpleNamespace(successful=not reason, reason=reason))
+
+    def wait_for_services(self, timeout_sec: float) -> bool:
+        return self.is_there
+
+    def set_parameters_atomically(self, parameters: Any, callback: Callable[[Any], None]) -> None:
+        self.asked += 1
+        if self.asked > self.lost:
+            callback(SimpleNamespace(result=lambda: self._reply))
+
+
+@pytest.mark.parametrize(
+    ("client", "asked", "says"),
+    [
+        (Forgetful(0), 1, ""),
+        (Forgetful(2), 3, ""),
+        (Forgetful(math.inf), 4, "/valve: did not answer within 0.02 s"),
+        (Forgetful(0, is_there=False), 0, "/valve: no such node was found within 10 s"),
+        (Forgetful(0, reason="too heavy"), 1, "/valve refuses them: too heavy"),
+    ],
+)
+def test_a_question_whose_reply_is_lost_is_asked_again(
+    client: Forgetful, asked: int, says: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(identification, "AsyncParameterClient", lambda node, name: client)
+    monkeypatch.setattr(identification, "ANSWER_SECONDS", 0.02)
+    remote: Any = identification.RemoteParameters(None, "/valve")  # type: ignore[arg-type]
+    with pytest.raises(ParameterError, match=f"^{says}$") if says else contextlib.nullcontext():
+        remote.set({"valve.stroke": 1.2e-3})
+    assert client.asked == asked

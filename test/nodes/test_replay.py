@@ -25,7 +25,7 @@ from valve_sim.nodes.identification_work import (
     timeline,
 )
 from valve_sim.nodes.realtime import ClockReading
-from valve_sim.nodes.settings import IdentificationSettings, identification_settings
+from valve_sim.nodes.settings import IdentificationSettings
 from valve_sim.traces import Signal, Trace, write_bag
 
 TIMES = np.arange(40) / 1e3
@@ -167,36 +167,6 @@ def test_a_recording_of_the_current_alone_is_replayed_and_fitted(tmp_path: Path)
     outcome = fit_or_diagnose(trace, declared, IdentificationSettings(), tmp_path, lambda what, fraction: None)
     assert outcome.report["rmse_ma"]["after"] == pytest.approx(1.0, rel=0.15)
     assert outcome.valve.parameters.main_damping == pytest.approx(5.0, abs=0.6)
-
-
-def test_settings_have_defaults_and_take_integers_and_texts() -> None:
-    given: dict[str, Any] = {"bag": "a.mcap", "rate": 2, "free": "a0, main_damping,a0", "loop": True}
-    assert identification_settings(given, {}) == IdentificationSettings(
-        "a.mcap", free=("a0", "main_damping"), rate=2.0, loop=True
-    )
-
-
-@pytest.mark.parametrize(
-    ("given", "says"),
-    [
-        ({}, "bag: not given"),
-        ({"bag": 3}, "expected text"),
-        ({"bag": "a", "rate": -1.0}, "at least 0"),
-        ({"bag": "a", "rate": True}, "expected a number"),
-        ({"bag": "a", "loop": "yes"}, "true or false"),
-        ({"bag": "a", "mode": "guess"}, "identify or diagnose"),
-        ({"bag": "a", "free": "pilot_dampin"}, "pilot_damping"),
-        ({"bag": "a", "free": [1, 2]}, "list of names"),
-        ({"bag": "a", "free": ","}, "at least one"),
-        ({"bag": "a", "rat": 1.0}, "did you mean rate"),
-        ({"bag": "a", "valve.pilot_mass": 0.1}, "parameter params instead"),
-    ],
-)
-def test_wrong_settings_are_refused_in_one_line(given: dict[str, object], says: str) -> None:
-    with pytest.raises(ParameterError, match=says) as caught:
-        identification_settings(given, {"rate": "file.yaml"})
-    assert "\n" not in str(caught.value)
-    assert ("file.yaml: rate" in str(caught.value)) == ("rate" in given)
 
 
 def test_a_task_says_how_far_it_is_and_how_it_ended() -> None:

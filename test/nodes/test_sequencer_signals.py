@@ -5,20 +5,17 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from nodes.ros import LATCHED, Bool, Float64
+
 from .ros_process import PATIENCE, Probe
 
 pytestmark = pytest.mark.ros
-pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
 
-import rclpy  # noqa: E402
-from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
-from std_msgs.msg import Bool, Float64  # noqa: E402
 
 HERE = Path(__file__).parent
 SEQUENCER = HERE.parents[1] / "docs" / "examples" / "sequencer.py"
@@ -30,8 +27,7 @@ class QuickValve:
 
     def __init__(self, node: Any, name: str) -> None:
         self.voltages: list[float] = []
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._is_open = node.create_publisher(Bool, f"/{name}/valve/is_open", latched)
+        self._is_open = node.create_publisher(Bool, f"/{name}/valve/is_open", LATCHED)
         self._is_open.publish(Bool(data=False))
         node.create_subscription(Float64, f"/{name}/valve/coil_voltage", self._take, 10)
 
@@ -39,15 +35,6 @@ class QuickValve:
         if message.data != (self.voltages[-1] if self.voltages else 0.0):
             self._is_open.publish(Bool(data=message.data > 0.0))
         self.voltages.append(message.data)
-
-
-@pytest.fixture
-def probe(in_own_domain: None) -> Iterator[Probe]:
-    rclpy.init()
-    probe = Probe()
-    yield probe
-    probe.close()
-    rclpy.try_shutdown()
 
 
 @pytest.mark.parametrize("runs", [3, pytest.param(12, marks=pytest.mark.long)])

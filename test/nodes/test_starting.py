@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from .ros_process import ENDS_WITHIN, own_lines, slowness
+from .ros_process import ENDS_WITHIN, slowness
 
 LONGEST = 2.0
 """s."""
@@ -22,9 +22,9 @@ pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imp
 PROGRAM = """
 import ctypes, os, sys, time
 import rclpy
-from valve_sim.nodes.starting import run_node
+from valve_sim.nodes.starting import Program
 
-# `run_node` imports the node from here.
+# The program imports its node from here.
 sys.modules["program"] = sys.modules["__main__"]
 
 
@@ -66,7 +66,7 @@ def make(given):
 
 
 where, number, is_endless = sys.argv[1], int(sys.argv[2]), sys.argv[3] == "True"
-raise SystemExit(run_node("node", "program:make", ["node"]))
+raise SystemExit(Program("node", "program:make", "", "")(["node"]))
 """
 
 
@@ -111,20 +111,12 @@ def test_a_node_starts_without_what_takes_a_second_to_load(module: str) -> None:
     assert ran.stdout == "[]\n"
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("place", ["make", "spin"])
 def test_a_node_that_reads_or_answers_without_end_ends_with_code_0_within_two_seconds(
-    tmp_path: Path, place: str, number: signal.Signals
+    tmp_path: Path, place: str
 ) -> None:
     # A machine that is busy with something else holds up one of them, and not each.
-    assert any(seconds_to_end(tmp_path, place, number, is_endless=True) < LONGEST for _ in range(3))
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_thread_that_calculates_on_does_not_keep_a_node(tmp_path: Path, number: signal.Signals) -> None:
-    ran = run(tmp_path, "thread", number)
-    assert ran.returncode == 0
-    assert own_lines(ran.stderr) == ["node: ended in the middle of a calculation"]
+    assert any(seconds_to_end(tmp_path, place, signal.SIGTERM, is_endless=True) < LONGEST for _ in range(3))
 
 
 def test_a_node_that_hangs_in_compiled_code_is_ended_and_says_where(tmp_path: Path) -> None:

@@ -7,10 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from valve_sim.files.parameter_files import load_valve
+from valve_sim.files.parameter_sections import read_sections
+from valve_sim.model import ParameterError
 from valve_sim.nodes.starting import read_files
-from valve_sim.station.tables import DispenserSettings, dispenser_settings
+from valve_sim.station.tables import ArchiveSettings, DispenserSettings, OpcUaSettings, PlcSettings
 
 from .clockwork import Clockwork
 from .launch_plan import IfElseSubstitution, LaunchConfiguration, LaunchPlan, read_launch_file
@@ -18,6 +21,7 @@ from .ros_process import Probe
 
 LAUNCH_FILE = Path(__file__).parents[2] / "launch" / "station.launch.py"
 TANKS = ("tank_1", "tank_2", "tank_3")
+CHECKED = {"opcua": OpcUaSettings, "plc": PlcSettings, "archive": ArchiveSettings}
 COMMISSIONING = 8
 """Strokes, the fewest that are allowed."""
 WITH_GAS = (0.1, 0.12, 0.1)
@@ -46,7 +50,7 @@ def test_with_gas_there_is_a_dispenser_for_the_valves_that_are_started(plan: Lau
     (node_of_line,) = [node for node in started if node.executable == "dispenser_node"]
     ((_, section),) = read_files(["", "--ros-args", "--params-file", str(node_of_line.file({}))])
     assert section.applies_to(node_of_line.full_name)
-    settings = dispenser_settings(section.values, {})
+    settings = DispenserSettings.read(section.values, {})
     assert settings == DispenserSettings(), "the file says what the code assumes"
     valves = [node for node in started if node.executable == "valve_node"]
     assert [f"/{name}" for name in settings.valves] == [node.full_name for node in valves]
@@ -86,6 +90,32 @@ def test_the_page_names_every_argument_with_its_default(plan: LaunchPlan) -> Non
     page = (LAUNCH_FILE.parents[1] / "docs" / "how_to" / "station.md").read_text(encoding="utf-8")
     for name, default in plan.arguments.items():
         assert f"| `{name}` | `{default}` |" in page
+
+
+@pytest.mark.parametrize("name", CHECKED)
+def test_a_node_is_started_where_it_is_asked_for_with_all_valves(plan: LaunchPlan, name: str, tmp_path: Path) -> None:
+    assert name not in {node.name for node in plan.started({})}
+    (node,) = [node for node in plan.started({name: "true"}) if node.name == name]
+    given = {key: value for part in node.parameters if isinstance(part, dict) for key, value in part.items()}
+    assert isinstance(given.pop("use_sim_time"), LaunchConfiguration)
+    # launch_ros makes tuples of lists, dumps them with the tag of Python's, and gives the node the name of that file.
+    evaluated = {key: tuple(value) if isinstance(value, list) else value for key, value in given.items()}
+    file = tmp_path / "launch_params"
+    file.write_text(yaml.dump({node.full_name: {"ros__parameters": evaluated}}, default_flow_style=False))
+    assert "!!python/tuple" in file.read_text()
+    (section,) = read_sections(file)
+    settings: Any = CHECKED[name].read(section.values, {})
+    assert settings.valves == ("tank_1/valve", "tank_2/valve", "tank_3/valve")
+    if hasattr(settings, "monitors"):
+        assert settings.monitors == ("tank_1/monitor", "tank_2/monitor", "tank_3/monitor")
+
+
+def test_a_parameter_file_that_is_not_there_ends_the_valve_that_should_have_it() -> None:
+    plan = read_launch_file(LAUNCH_FILE.with_name("valve.launch.py"))
+    (valve,) = plan.nodes
+    with pytest.raises(ParameterError, match=r"nowhere\.yaml: cannot be read"):
+        read_files(valve.command_line({**plan.arguments, "params_file": "nowhere.yaml"}))
+    assert len(read_files(valve.command_line(plan.arguments))) == 1
 
 
 @pytest.mark.long

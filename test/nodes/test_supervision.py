@@ -8,47 +8,18 @@ import shlex
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from .ros_process import Probe, running
+from nodes.ros import Bool, Float64, UInt8
+
+from .ros_process import Diagnostics, Probe, running
 
 pytestmark = pytest.mark.ros
-pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
 
-import rclpy  # noqa: E402
-from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
-from std_msgs.msg import Bool, Float64, UInt8  # noqa: E402
 
 ROOT = Path(__file__).parents[2]
-LIFECYCLE = {"change_state", "get_state", "get_available_states", "get_available_transitions", "get_transition_graph"}
-
-
-@pytest.fixture
-def probe(in_own_domain: None) -> Iterator[Probe]:
-    rclpy.init()
-    probe = Probe()
-    yield probe
-    probe.close()
-    rclpy.try_shutdown()
-
-
-def test_a_valve_obeys_from_its_first_word_on_and_asks_for_no_transition(probe: Probe, tmp_path: Path) -> None:
-    is_open = probe.hear("is_open", Bool, latched=True)
-    voltage = probe.talker("coil_voltage", Float64)
-    with running(tmp_path):
-        assert probe.until(lambda: is_open and voltage.get_subscription_count() == 1)
-        voltage.publish(Float64(data=9.0))
-        assert probe.until(lambda: is_open[-1].data)
-        assert probe.until(lambda: "self_test" in services(probe))
-        assert not LIFECYCLE & services(probe)
-
-
-def services(probe: Probe) -> set[str]:
-    """Names of all services that have been found so far; a node's own are found before its parameters'."""
-    return {name.rpartition("/")[2] for name, _ in probe.node.get_service_names_and_types()}
 
 
 def test_a_valve_that_was_killed_while_open_comes_back_closed_and_without_voltage(probe: Probe, tmp_path: Path) -> None:
@@ -60,14 +31,13 @@ def test_a_valve_that_was_killed_while_open_comes_back_closed_and_without_voltag
         assert probe.until(lambda: is_open[-1].data)
         killed.process.kill()
         assert killed.exit_code() == -signal.SIGKILL
-    phases, heard = probe.hear("phase", UInt8, latched=True), probe.hear("/diagnostics", DiagnosticArray)
+    phases, heard = probe.hear("phase", UInt8, latched=True), Diagnostics(probe)
     with running(tmp_path):
         assert probe.until(lambda: not is_open[-1].data), (
             "the controller's publisher is still there, its command is not"
         )
-        assert probe.until(lambda: heard and phases)
-        (command,) = (status for status in heard[-1].status if status.name == "valve: command")
-        assert (command.message, {pair.key: pair.value for pair in command.values}["voltage (V)"]) == ("none yet", "0")
+        assert probe.until(lambda: heard.all("command") and phases)
+        assert (heard.all("command")[-1].message, heard.values("command")["voltage (V)"]) == ("none yet", "0")
         assert {message.data for message in phases} == {0}
 
 

@@ -1,76 +1,149 @@
-"""Running nodes have the topics, services and parameters of their tables: names, types, QoS, ranges, and no others."""
+"""Running nodes have the topics, services and parameters of their tables: names, types, QoS, ranges, and no others.
+
+Those of a station have the rights of config/sros2/station.policy.xml: each may do what it does, and nothing else.
+"""
 
 from __future__ import annotations
 
+import importlib.util
 import itertools
+import os
+import subprocess
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
+from xml.etree import ElementTree
 
 import pytest
 
-from valve_sim.files.parameter_files import default_valve
-from valve_sim.nodes import profile_playing, settings, topics
-from valve_sim.nodes.parameters import Table
+from nodes.ros import DescribeParameters
+from valve_sim.nodes import topics
+from valve_sim.nodes.parameters import NodeSettings, Table
+from valve_sim.nodes.profile_playing import ProfileSettings
+from valve_sim.nodes.settings import IdentificationSettings, MonitorNodeSettings
 from valve_sim.nodes.topics import Topic
-from valve_sim.nodes.valve_parameters import table
+from valve_sim.nodes.valve_parameters import ValveSettings
+from valve_sim.nodes.wiring import profile
 from valve_sim.station import tables as station
 
-from .ros_process import Probe, running
+from .ros_process import Probe, free_port, running
 
-pytestmark = pytest.mark.ros
-pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
-
-import rclpy  # noqa: E402
-from rcl_interfaces.srv import DescribeParameters  # noqa: E402
-
-from valve_sim.nodes.wiring import profile  # noqa: E402
+pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("ros")]
 
 ROOT = Path(__file__).parents[2]
-GAS = str(ROOT / "config" / "gas_tank_1.yaml")
-ENDS = ("inlet_pressure", "demand_pressure")
-ROS_OWN = ("/parameter_events", "/rosout", "/clock")
-BESIDE_MEASURED = tuple(topic for topic in topics.MONITOR if "obeyed" not in topic.name)
-"""A real valve says nothing of what it obeys."""
+POLICY = ROOT / "config" / "sros2" / "station.policy.xml"
+GAS = f"--params-file {ROOT / 'config' / 'gas_tank_1.yaml'}"
+TANKS = ("tank_1", "tank_2", "tank_3")
+LISTS = {name: f"-p {name}s:=[{','.join(f'{tank}/{name}' for tank in TANKS)}]" for name in ("valve", "monitor")}
+OF_ALL = ("/parameter_events", "/rosout", "/clock")
+DIRECTIONS = {"publisher": "out", "subscriber": "in", "service": "service", "client": "client"}
+"""Words of the graph, and those of the tables."""
+RIGHTS = {"publish": "out", "subscribe": "in", "reply": "service", "request": "client"}
+"""Words of a policy, and those of the tables."""
 TYPES = ("not set", "bool", "integer", "double", "string", "byte array", "bool array", "integer array", "double array")
+Names = dict[tuple[str, str], str]
+"""Full name and direction of topics and services to their types."""
 
 
-@pytest.fixture(scope="module", autouse=True)
-def ros(in_own_domain: None) -> Iterator[None]:
-    rclpy.init()
-    yield
-    rclpy.try_shutdown()
+class Case(NamedTuple):
+    """A program: the node's name, its tables, names that stand for words in braces, and what it is started with.
+
+    A valve and its monitor are those of a tank of the station.
+    """
+
+    name: str
+    topics: Sequence[Topic]
+    settings: type[NodeSettings]
+    arguments: str
+    needs: str = "rclpy"
+
+    @property
+    def valves(self) -> list[str]:
+        if "/" in self.name[1:]:
+            return ["/tank_1/valve"]
+        return [f"/{tank}/valve" for tank in TANKS] if self.name in RIGHTS_BY_NODE else ["/valve"]
 
 
-def resolved(entries: Sequence[Topic], name: str, valves: Sequence[str]) -> dict[tuple[str, str], Topic]:
-    """Full name and direction of each topic of a table, for a node of this name and with these valves."""
+def rights_of(entry: ElementTree.Element) -> Iterator[tuple[str, str]]:
+    namespace, node = entry.attrib["ns"].rstrip("/"), entry.attrib["node"]
+    for group in entry:
+        for right in set(group.attrib) & RIGHTS.keys():
+            for named in group:
+                name = (named.text or "").replace("~", f"{namespace}/{node}")
+                yield name if name.startswith("/") else f"{namespace}/{name}", RIGHTS[right]
+
+
+RIGHTS_BY_NODE = {
+    f"{entry.attrib['ns'].rstrip('/')}/{entry.attrib['node']}": set(rights_of(entry))
+    for entry in ElementTree.parse(POLICY).getroot().iter("profile")
+}
+
+CASES = {
+    "valve_node": Case("/tank_1/valve", (*topics.VALVE, *topics.GAS), ValveSettings, GAS),
+    "monitor_node": Case("/tank_1/monitor", topics.MONITOR, MonitorNodeSettings, f"{GAS} -p measured:=joint_states"),
+    "identification_node": Case(
+        "/identification", topics.IDENTIFICATION, IdentificationSettings,
+        f"-p bag:={ROOT / 'bags' / 'one_opening.mcap'} -p linger:=true -p output:={{folder}}",
+    ),
+    "command_profile": Case(
+        "/command_profile", topics.PROFILE, ProfileSettings, "-p patience:=600.0 -p profile:={folder}/profile.csv"
+    ),
+    "dispenser_node": Case("/dispenser", station.DISPENSER_TOPICS, station.DispenserSettings, ""),
+    "opcua_node": Case(
+        "/opcua", station.OPCUA_TOPICS, station.OpcUaSettings,
+        f"{LISTS['valve']} {LISTS['monitor']} -p port:={{port}} -p folder:={{folder}}", needs="asyncua",
+    ),
+    "plc_node": Case(
+        "/plc", station.PLC_TOPICS, station.PlcSettings, f"{LISTS['valve']} -p port:={{port}}", needs="pymodbus"
+    ),
+    "archive_node": Case(
+        "/archive", station.ARCHIVE_TOPICS, station.ArchiveSettings,
+        f"{LISTS['valve']} {LISTS['monitor']} -p folder:={{folder}}", needs="pyarrow",
+    ),
+}  # fmt: skip
+
+
+def by_table(case: Case) -> dict[tuple[str, str], Topic]:
+    """Full name and direction of each topic and service of the table, for this node and its valves."""
     found = {}
-    for entry, valve, end in itertools.product(entries, valves, ENDS):
-        sensors = f"{valve}/measured"
-        filled = entry.name.format(valve=valve, measured=f"{sensors}/joint_states", sensors=sensors, end=end)
-        found[filled.replace("~", f"/{name}"), entry.direction] = entry
+    for entry, valve, end in itertools.product(case.topics, case.valves, topics.ENDS):
+        monitor, measured = valve.replace("valve", "monitor"), f"{valve}/joint_states"
+        places = {"valve": valve, "monitor": monitor, "measured": measured, "sensors": valve, "end": end}
+        filled = entry.name.format(**places, alarms="/opcua/alarms")
+        found[filled.replace("~", case.name), entry.direction] = entry
     return found
 
 
-def offered(probe: Probe, name: str) -> dict[tuple[str, str], str]:
-    """Full name, direction and type of each topic and service that a node has beside those of all nodes."""
-    node, found = probe.node, {}
-    for direction, ask in (
-        ("out", node.get_publisher_names_and_types_by_node),
-        ("in", node.get_subscriber_names_and_types_by_node),
-        ("service", node.get_service_names_and_types_by_node),
-    ):
-        for topic, (kind, *_) in ask(name, "/"):
-            if topic not in ROS_OWN and not ("parameter" in topic or "type_description" in topic):
-                found[topic, direction] = kind
-    return found
+def in_use(node: Any, name: str) -> Names:
+    """What a running node has, by the graph that every node knows; nothing while it is not there."""
+    namespace, _, base = name.rpartition("/")
+    if (base, namespace or "/") not in node.get_node_names_and_namespaces():
+        return {}
+    return {
+        (found, direction): kind
+        for word, direction in DIRECTIONS.items()
+        for found, (kind, *_) in getattr(node, f"get_{word}_names_and_types_by_node")(base, namespace or "/")
+    }
 
 
-def qos_of(probe: Probe, name: str, topic: str, direction: str) -> Any:
-    """The QoS with which a node has a topic."""
-    node = probe.node
-    ask = node.get_publishers_info_by_topic if direction == "out" else node.get_subscriptions_info_by_topic
-    return next(entry.qos_profile for entry in ask(topic) if entry.node_name == name)
+def own(found: Names) -> Names:
+    """Without clients, and without what every node has."""
+    return {
+        (name, direction): kind
+        for (name, direction), kind in found.items()
+        if direction != "client" and name not in OF_ALL and not kind.startswith(("rcl_interfaces", "type_description"))
+    }
+
+
+def check_qos(probe: Probe, case: Case) -> None:
+    base = case.name.rpartition("/")[2]
+    for (topic, direction), entry in by_table(case).items():
+        if entry.qos is not None:
+            word = "publishers" if direction == "out" else "subscriptions"
+            known = getattr(probe.node, f"get_{word}_info_by_topic")(topic)
+            found, asked = next(one.qos_profile for one in known if one.node_name == base), profile(entry.qos)
+            assert (found.reliability, found.durability) == (asked.reliability, asked.durability), topic
 
 
 def check_parameters(probe: Probe, entries: Table) -> None:
@@ -79,62 +152,51 @@ def check_parameters(probe: Probe, entries: Table) -> None:
     for descriptor, entry in zip(told, entries.values(), strict=True):
         assert (descriptor.name, descriptor.description) == (entry.name, entry.description)
         assert descriptor.read_only == entry.read_only
-        wanted = "string array" if entry.type == "string array" else entry.type
-        assert (*TYPES, "string array")[descriptor.type] == wanted
+        assert (*TYPES, "string array")[descriptor.type] == entry.type
         ranges = [*descriptor.floating_point_range, *descriptor.integer_range]
         assert [(limits.from_value, limits.to_value) for limits in ranges] == ([entry.range] if entry.range else [])
 
 
-CASES: dict[str, tuple[str, Sequence[Topic], Table, Sequence[str], Sequence[str]]] = {
-    "valve_node": ("valve", (*topics.VALVE, *topics.GAS), table(default_valve()), ["/valve"], ["--params-file", GAS]),
-    "monitor_node": ("monitor", BESIDE_MEASURED, settings.monitor_table(), ["/valve"], ["--params-file", GAS]),
-    "identification_node": (
-        "identification",
-        topics.IDENTIFICATION,
-        settings.IDENTIFICATION,
-        ["/valve"],
-        ["-p", f"bag:={ROOT / 'bags' / 'one_opening.mcap'}", "-p", "linger:=true"],
-    ),
-    "command_profile": (
-        "command_profile",
-        topics.PROFILE,
-        profile_playing.PROFILE,
-        ["/valve"],
-        ["-p", "patience:=600.0"],
-    ),
-    "dispenser_node": (
-        "dispenser",
-        station.DISPENSER_TOPICS,
-        station.DISPENSER,
-        [f"/tank_{k}/valve" for k in (1, 2, 3)],
-        [],
-    ),
-}
-
-
 @pytest.mark.parametrize("program", CASES)
-def test_a_node_has_what_its_tables_say_and_nothing_else(program: str, tmp_path: Path) -> None:
-    name, entries, parameters, valves, arguments = CASES[program]
+def test_a_node_has_what_its_tables_say_and_the_rights_that_it_uses_and_nothing_else(
+    program: str, tmp_path: Path
+) -> None:
+    case, allowed = CASES[program], RIGHTS_BY_NODE.get(CASES[program].name)
+    if importlib.util.find_spec(case.needs) is None:
+        pytest.skip(f"{case.needs} is not installed")
     (tmp_path / "profile.csv").write_text("time,volts\n0,9\n0.01,0\n")
-    own = ["-p", f"profile:={tmp_path / 'profile.csv'}"] if program == "command_profile" else []
-    output = ["-p", f"output:={tmp_path}"] if program == "identification_node" else []
-    wanted = resolved(entries, name, valves)
-    probe = Probe(f"/{name}")
+    words = case.arguments.format(folder=tmp_path, port=free_port()).split()
+    words += ["-r", f"__ns:={case.name.rpartition('/')[0] or '/'}"]
+    words += ["-p", "use_sim_time:=true"] if allowed else []  # a right of its own
+    wanted = {key: entry.type for key, entry in by_table(case).items()}
+    probe = Probe(case.name)
     try:
-        with running(tmp_path, ["--ros-args", *arguments, *own, *output], program) as process:
-            kinds = {key: entry.type for key, entry in wanted.items()}
+        with running(tmp_path, ["--ros-args", *words], program) as process:
 
             def is_there() -> bool:
-                known = (name, "/") in probe.node.get_node_names_and_namespaces()
-                return known and offered(probe, name) == kinds
+                found = in_use(probe.node, case.name)
+                return own(found) == wanted and allowed in (None, set(found))
 
-            assert probe.until(is_there), (process.output, {
-                key: kind for key, kind in kinds.items() if offered(probe, name).get(key) != kind
-            })  # fmt: skip
-            for (topic, direction), entry in wanted.items():
-                if entry.qos is not None:
-                    found, asked = qos_of(probe, name, topic, direction), profile(entry.qos)
-                    assert (found.reliability, found.durability) == (asked.reliability, asked.durability), topic
-            check_parameters(probe, parameters)
+            probe.until(is_there)
+            found = in_use(probe.node, case.name)
+            assert own(found) == wanted, process.output
+            assert allowed in (None, set(found)), process.output
+            check_qos(probe, case)
+            check_parameters(probe, case.settings.table())
     finally:
         probe.close()
+
+
+def test_the_sequencer_has_the_rights_that_it_uses(probe: Probe, tmp_path: Path) -> None:
+    program = [sys.executable, str(ROOT / "docs" / "examples" / "sequencer.py"), "--ros-args"]
+    words = ["-p", "patience:=1000.0", "-p", "use_sim_time:=true"]
+    with subprocess.Popen([*program, *words], env={**os.environ, "ROS_LOG_DIR": str(tmp_path)}) as process:
+        probe.until(lambda: set(in_use(probe.node, "/sequencer")) == RIGHTS_BY_NODE["/sequencer"])
+        assert set(in_use(probe.node, "/sequencer")) == RIGHTS_BY_NODE["/sequencer"]
+        process.kill()
+
+
+def test_the_other_tanks_have_the_same_rights() -> None:
+    for name, tank in itertools.product(("valve", "monitor"), TANKS):
+        first = {(where.replace("tank_1", tank), right) for where, right in RIGHTS_BY_NODE[f"/tank_1/{name}"]}
+        assert RIGHTS_BY_NODE[f"/{tank}/{name}"] == first

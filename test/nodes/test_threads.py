@@ -73,3 +73,4 @@ def test_what_goes_wrong_is_told_unless_the_thread_is_to_end_anyway(is_ending: b
     may_fail.set()
     thread.join()
     assert [str(error) for error in told] == ([] if is_ending else ["too stiff"])
+    assert thread.stop(0.0)

@@ -2,23 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import pytest
 
-pytestmark = [pytest.mark.ros, pytest.mark.long]
-pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
+import nodes.ros  # noqa: F401
+from benchmarks.fuzz.topics import fuzz
 
-import rclpy  # noqa: E402
-
-from benchmarks.fuzz.topics import fuzz  # noqa: E402
-
-
-@pytest.fixture(scope="module", autouse=True)
-def ros(in_own_domain: None) -> Iterator[None]:
-    rclpy.init()
-    yield
-    rclpy.try_shutdown()
+pytestmark = [pytest.mark.ros, pytest.mark.long, pytest.mark.usefixtures("ros")]
 
 
 def test_nodes_under_fire_go_on() -> None:

@@ -13,19 +13,18 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
 import pytest
 
+from nodes.ros import UInt8
+
 from .ros_process import ENDS_WITHIN, Probe, running
 
-pytestmark = [pytest.mark.ros, pytest.mark.any_distribution]
-pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
+pytestmark = [pytest.mark.ros, pytest.mark.any_distribution, pytest.mark.usefixtures("ros")]
 
-import rclpy  # noqa: E402
-from std_msgs.msg import UInt8  # noqa: E402
 
 PAGE: Final = Path(__file__).parents[2] / "docs" / "reference" / "ros2_commands.md"
 ROS2: Final = (sys.executable, "-c", "import sys; from ros2cli.cli import main; sys.exit(main())")
@@ -52,13 +51,6 @@ COMMANDS: Final = (
 HEADINGS: Final = {"Subscribers": "subscriber", "Publishers": "publisher", "Service Servers": "service"}
 """Headings of `node info`, and the words of rclpy for what is below."""
 CHANGING: Final = re.compile(r"^(GID: ).*$", re.MULTILINE)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def ros(in_own_domain: None) -> Iterator[None]:
-    rclpy.init()
-    yield
-    rclpy.try_shutdown()
 
 
 def said(command: str) -> str:

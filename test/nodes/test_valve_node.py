@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
-import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
@@ -16,6 +15,19 @@ import numpy as np
 import pytest
 from installed_effect import MAGNET_DRAG, Installed
 
+from nodes.ros import (
+    BatteryState,
+    Bool,
+    Clock,
+    Float64,
+    JointState,
+    QoSProfile,
+    ReliabilityPolicy,
+    Time,
+    Trigger,
+    UInt8,
+    serialize_message,
+)
 from valve_sim.files.parameter_files import load_valve
 from valve_sim.files.resources import config_path
 from valve_sim.model import published_times, simulate
@@ -23,21 +35,13 @@ from valve_sim.records.calibration import load_changes, save_record
 from valve_sim.traces import BagRecorder, events_from_sensors, read_trace
 
 from .dumps import TOLERATED, dump, plain_values
-from .ros_process import NodeProcess, Probe, running
+from .ros_process import Diagnostics, NodeProcess, Probe, beside, running
 from .test_calibration_watch import signed
 
-pytestmark = pytest.mark.ros
-pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
+pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("ros")]
 
-import rclpy  # noqa: E402
-from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
-from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
-from rclpy.serialization import serialize_message  # noqa: E402
-from rosgraph_msgs.msg import Clock  # noqa: E402
-from sensor_msgs.msg import BatteryState, JointState  # noqa: E402
-from std_msgs.msg import Bool, Float64, UInt8  # noqa: E402
-from std_srvs.srv import Trigger  # noqa: E402
 
+SECOND = 1_000_000_000
 PERIOD = 1_000_000
 """ns between samples."""
 TICK = 25_000_000
@@ -46,25 +50,11 @@ THROTTLE = 5.0
 """s between lines of the log about the same trouble."""
 
 
-@pytest.fixture(scope="module", autouse=True)
-def ros(in_own_domain: None) -> Iterator[None]:
-    rclpy.init()
-    yield
-    rclpy.try_shutdown()
-
-
 @pytest.fixture(scope="module")
 def valve(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[NodeProcess]:
     """One node for all tests that leave it as it was."""
     with running(tmp_path_factory.mktemp("valve")) as process:
         yield process
-
-
-@pytest.fixture
-def probe(ros: None) -> Iterator[Probe]:
-    probe = Probe()
-    yield probe
-    probe.close()
 
 
 @pytest.fixture
@@ -87,15 +77,7 @@ def commander(probe: Probe) -> Any:
 
 
 def nanoseconds(message: JointState | BatteryState) -> int:
-    return int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)
-
-
-def diagnostics(heard: list[Any], name: str) -> Any:
-    for message in reversed(heard):
-        for status in message.status:
-            if status.name == f"valve: {name}":
-                return {**{item.key: item.value for item in status.values}, "level": status.level}
-    return {}
+    return int(message.header.stamp.sec) * SECOND + int(message.header.stamp.nanosec)
 
 
 def are_a_period_apart(joints: list[Any]) -> bool:
@@ -163,56 +145,56 @@ def test_it_says_in_one_line_that_it_is_ready_and_under_which_names(valve: NodeP
 
 
 def test_bad_commands_are_ignored_counted_and_reported(valve: NodeProcess, rested: Probe) -> None:
-    heard, phases = rested.hear("/diagnostics", DiagnosticArray), rested.hear("phase", UInt8, latched=True)
+    heard, phases = Diagnostics(rested), rested.hear("phase", UInt8, latched=True)
     command = commander(rested)
-    assert rested.until(lambda: diagnostics(heard, "command"))
-    before = int(diagnostics(heard, "command")["rejected"])
+    assert rested.until(lambda: heard.values("command"))
+    before = int(heard.values("command")["rejected"])
     command.publish(Float64(data=9.0))
     assert rested.until(lambda: phases and phases[-1].data == 4)
     begin = time.monotonic()
     for volts in (math.nan, math.inf, -1000.0):
         command.publish(Float64(data=volts))
-    assert rested.until(lambda: int(diagnostics(heard, "command")["rejected"]) == before + 3)
+    assert rested.until(lambda: int(heard.values("command")["rejected"]) == before + 3)
     took = time.monotonic() - begin
-    assert diagnostics(heard, "command")["voltage (V)"] == "9"
+    assert heard.values("command")["voltage (V)"] == "9"
     assert phases[-1].data == 4
     lines = [line for line in valve.output.splitlines() if "/valve/coil_voltage: " in line and "is ignored" in line]
     assert 1 <= len(lines) <= 1 + took / THROTTLE, "one line for what comes at once"
     assert "expected a number within ±30 V (parameter max_voltage)" in lines[0]
     command.publish(Float64(data=100.0))
-    assert rested.until(lambda: int(diagnostics(heard, "command")["rejected"]) == before + 4)
-    seen = len(heard)
-    assert rested.until(lambda: len(heard) >= seen + 2)
-    assert diagnostics(heard, "command")["level"] == b"\x01", "a warning as long as no good command has come"
+    assert rested.until(lambda: int(heard.values("command")["rejected"]) == before + 4)
+    seen = len(heard.heard)
+    assert rested.until(lambda: len(heard.heard) >= seen + 2)
+    assert heard.values("command")["level"] == 1, "a warning as long as no good command has come"
     command.publish(Float64(data=9.0))
-    assert rested.until(lambda: diagnostics(heard, "command")["level"] == b"\x00")
+    assert rested.until(lambda: heard.values("command")["level"] == 0)
 
 
 def test_diagnostics_come_each_second_and_say_all(rested: Probe) -> None:
-    heard = rested.hear("/diagnostics", DiagnosticArray)
-    assert rested.until(lambda: any(is_a_good_second(heard, before) for before in range(len(heard) - 1)))
-    names = [status.name for status in heard[-1].status]
+    heard = Diagnostics(rested)
+
+    def was_a_good_second() -> bool:
+        """Whether two came a second apart, and the machine had time for its samples meanwhile."""
+        stamps = [message.header.stamp.sec + message.header.stamp.nanosec * 1e-9 for message in heard.heard[-2:]]
+        rate = heard.values("timing").get("rate reached (Hz)", "none")
+        return len(stamps) > 1 and rate != "none" and float(rate) > 900.0 and abs(stamps[1] - stamps[0] - 1.0) < 0.5
+
+    assert rested.until(was_a_good_second)
+    names = [status.name for status in heard.heard[-1].status]
     assert names == ["valve: timing", "valve: command", "valve: valve"]
-    assert {status.hardware_id for status in heard[-1].status} == {"valve"}
-    assert diagnostics(heard, "timing")["rate wanted (Hz)"] == "1000"
-    assert diagnostics(heard, "valve")["phase"] == "closed"
-
-
-def is_a_good_second(heard: list[Any], before: int) -> bool:
-    """Whether diagnostics came a second after the ones before, of a second in which the machine had time for it."""
-    stamps = [message.header.stamp.sec + message.header.stamp.nanosec * 1e-9 for message in heard[before : before + 2]]
-    rate = diagnostics(heard[: before + 2], "timing")["rate reached (Hz)"]
-    return rate != "none" and float(rate) > 900.0 and stamps[1] - stamps[0] == pytest.approx(1.0, abs=0.5)
+    assert {status.hardware_id for status in heard.heard[-1].status} == {"valve"}
+    assert heard.values("timing")["rate wanted (Hz)"] == "1000"
+    assert heard.values("valve")["phase"] == "closed"
 
 
 def test_a_publisher_that_cannot_be_heard_is_reported(valve: NodeProcess, rested: Probe) -> None:
-    heard = rested.hear("/diagnostics", DiagnosticArray)
+    heard = Diagnostics(rested)
     deaf = rested.talker("coil_voltage", Float64, QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT))
     assert rested.until(lambda: "incompatible QoS (RELIABILITY) and cannot be heard" in valve.output)
-    assert rested.until(lambda: diagnostics(heard, "command").get("publishers of incompatible QoS") == "1")
-    assert diagnostics(heard, "command")["level"] == b"\x01"
+    assert rested.until(lambda: heard.values("command").get("publishers of incompatible QoS") == "1")
+    assert heard.values("command")["level"] == 1
     rested.node.destroy_publisher(deaf)
-    assert rested.until(lambda: diagnostics(heard, "command")["level"] == b"\x00"), "it has gone"
+    assert rested.until(lambda: heard.values("command")["level"] == 0), "it has gone"
 
 
 def test_the_self_test_answers_with_the_published_times(rested: Probe) -> None:
@@ -247,10 +229,8 @@ def test_parameters_are_validated_and_applied_without_a_jump(rested: Probe) -> N
 def test_each_change_of_a_calibrated_valve_is_in_the_journal(tmp_path: Path) -> None:
     record = tmp_path / "calibration.json"
     save_record(record, signed(tmp_path, datetime.now(timezone.utc)))
-    probe = Probe("/calibrated")
-    heard = probe.hear("/diagnostics", DiagnosticArray)
-    given = ["--ros-args", "-r", "__node:=calibrated", "-p", f"calibration:={record}"]
-    with running(tmp_path, given) as node:
+    with beside(tmp_path, "/calibrated", ["-p", f"calibration:={record}"]) as (probe, node):
+        heard = Diagnostics(probe)
         results = probe.set_parameters(valve__spring_rate=431.0, publish_rate=500.0)
         assert [result.successful for result in results] == [True] * 2
         assert not probe.set_parameters(valve__spring_rate=-1.0)[0].successful
@@ -258,25 +238,24 @@ def test_each_change_of_a_calibrated_valve_is_in_the_journal(tmp_path: Path) -> 
         assert (change.parameter, change.before, change.after) == ("valve.spring_rate", 428.0, 431.0)
         assert change.by.startswith("/calibrated (")
         assert not probe.set_parameters(calibration="")[0].successful
-        assert probe.until(lambda: any(one.name == "calibrated: calibration" for told in heard for one in told.status))
+        assert probe.until(lambda: heard.all("calibration"))
         assert "changed since the calibration: valve.spring_rate 428.0 → 431.0" in node.output
-    probe.close()
 
 
 def test_a_coil_without_commands_is_de_energised(valve: NodeProcess, rested: Probe) -> None:
-    is_open, heard = rested.hear("is_open", Bool, latched=True), rested.hear("/diagnostics", DiagnosticArray)
+    is_open, heard = rested.hear("is_open", Bool, latched=True), Diagnostics(rested)
     assert rested.set_parameters(command_timeout=0.2)[0].successful
     command = commander(rested)
     # Open for 0.2 s only: a test that is held up for longer hears of its closing alone.
     assert rested.insist(lambda: command.publish(Float64(data=9.0)), lambda: is_open and is_open[-1].data)
     assert rested.until(lambda: not is_open[-1].data)
-    assert rested.until(lambda: diagnostics(heard, "command").get("timed out") == "true")
+    assert rested.until(lambda: heard.values("command").get("timed out") == "true")
     assert "the coil was switched off: no command for 0.2 s (command_timeout), 9 V held" in valve.output
     assert rested.set_parameters(command_timeout=0.0)[0].successful
 
 
 def test_a_limit_below_what_holds_switches_the_coil_off_and_says_so(valve: NodeProcess, rested: Probe) -> None:
-    is_open, heard = rested.hear("is_open", Bool, latched=True), rested.hear("/diagnostics", DiagnosticArray)
+    is_open, heard = rested.hear("is_open", Bool, latched=True), Diagnostics(rested)
     command = commander(rested)
     assert rested.insist(lambda: command.publish(Float64(data=12.0)), lambda: is_open and is_open[-1].data)
     assert rested.set_parameters(max_voltage=10.0)[0].successful
@@ -285,10 +264,10 @@ def test_a_limit_below_what_holds_switches_the_coil_off_and_says_so(valve: NodeP
     assert rested.until(
         lambda: "the coil was switched off: max_voltage was set to 10 V, below the 12 V that held" in valve.output
     )
-    assert rested.until(lambda: diagnostics(heard, "command").get("level") == b"\x01")
+    assert rested.until(lambda: heard.values("command").get("level") == 1)
     assert rested.set_parameters(max_voltage=30.0)[0].successful
     command.publish(Float64(data=9.0))
-    assert rested.until(lambda: diagnostics(heard, "command")["level"] == b"\x00")
+    assert rested.until(lambda: heard.values("command")["level"] == 0)
 
 
 def test_is_open_is_said_when_it_changes_and_not_at_each_phase(rested: Probe) -> None:
@@ -303,45 +282,39 @@ def test_is_open_is_said_when_it_changes_and_not_at_each_phase(rested: Probe) ->
     assert len(phases) > 8
 
 
-def test_dumped_parameters_can_be_loaded_again(rested: Probe, tmp_path: Path) -> None:
+def test_dumped_parameters_can_be_loaded_again_by_the_valve_of_a_tank(rested: Probe, tmp_path: Path) -> None:
     changes = {"valve__main_damping": 3.5, "effects__magnetic_saturation__current": 2.0, "frame_id": "tank"}
     assert all(result.successful for result in rested.set_parameters(**changes))
     values = rested.parameters()
     originals = {"valve__main_damping": 4.0, "effects__magnetic_saturation__current": math.inf, "frame_id": ""}
     assert all(result.successful for result in rested.set_parameters(**originals))
-    path = dump(values, tmp_path / "dump.yaml", "/other")
-    arguments = ["--ros-args", "-r", "__node:=other", "--params-file", str(path)]
-    other = Probe("/other")
-    try:
-        with running(tmp_path, arguments):
-            assert plain_values(other.parameters()) == plain_values(values)
-    finally:
-        other.close()
+    path = dump(values, tmp_path / "dump.yaml", "/tank_2/valve")
+    with beside(tmp_path, "/tank_2/valve", ["--params-file", str(path)]) as (tank, _):
+        joints, heard = tank.hear("joint_states", JointState), Diagnostics(tank)
+        assert plain_values(tank.parameters()) == plain_values(values)
+        assert tank.until(lambda: joints and heard.all("timing"))
+        assert joints[-1].header.frame_id == "tank"
 
 
-def test_tolerances_are_taken_checked_and_dumped(ros: None, tmp_path: Path) -> None:
+def test_tolerances_are_taken_checked_and_dumped(tmp_path: Path) -> None:
     path = tmp_path / "tolerances.yaml"
     path.write_text(TOLERATED)
     declared = load_valve(path)
-    known = Probe("/known")
-    try:
-        with running(tmp_path, ["--ros-args", "-r", "__node:=known", "--params-file", str(path)]):
-            assert load_valve(dump(known.parameters(), tmp_path / "dump.yaml", "/known")) == declared
-            refused = {
-                "tolerances__stroke": -1e-6,
-                "tolerances__attraction_covariance": [1.0, 2.0],
-                "tolerances__effects__stiction__force": 0.1,
-            }
-            for name, value in refused.items():
-                (result,) = known.set_parameters(**{name: value})
-                assert not result.successful, name
-                assert name.replace("__", ".") in result.reason
-            changes: dict[str, Any] = {"tolerances__stroke": 0.0, "tolerances__pilot_gap": 2e-6}
-            assert all(result.successful for result in known.set_parameters(**changes))
-            assert known.set_parameters(effects__coulomb_friction__force=0.0)[0].successful
-            left = load_valve(dump(known.parameters(), tmp_path / "later.yaml", "/known"))
-    finally:
-        known.close()
+    with beside(tmp_path, "/known", ["--params-file", str(path)]) as (known, _):
+        assert load_valve(dump(known.parameters(), tmp_path / "dump.yaml", "/known")) == declared
+        refused = {
+            "tolerances__stroke": -1e-6,
+            "tolerances__attraction_covariance": [1.0, 2.0],
+            "tolerances__effects__stiction__force": 0.1,
+        }
+        for name, value in refused.items():
+            (result,) = known.set_parameters(**{name: value})
+            assert not result.successful, name
+            assert name.replace("__", ".") in result.reason
+        changes: dict[str, Any] = {"tolerances__stroke": 0.0, "tolerances__pilot_gap": 2e-6}
+        assert all(result.successful for result in known.set_parameters(**changes))
+        assert known.set_parameters(effects__coulomb_friction__force=0.0)[0].successful
+        left = load_valve(dump(known.parameters(), tmp_path / "later.yaml", "/known"))
     assert left.effects == {}
     assert left.tolerances == replace(
         declared.tolerances, declared={"spring_rate": 12.8, "pilot_gap": 2e-6}, effects={}
@@ -349,148 +322,57 @@ def test_tolerances_are_taken_checked_and_dumped(ros: None, tmp_path: Path) -> N
 
 
 @pytest.mark.any_distribution
-def test_an_installed_effect_is_set_on_the_running_node(ros: None, tmp_path: Path) -> None:
+def test_an_installed_effect_is_set_on_the_running_node(tmp_path: Path) -> None:
     site = Installed(tmp_path / "site", MAGNET_DRAG)
-    plugged = Probe("/plugged")
-    try:
-        with running(tmp_path, ["--ros-args", "-r", "__node:=plugged"], PYTHONPATH=site.environment["PYTHONPATH"]):
-            assert plugged.set_parameters(effects__magnet_drag__force=0.4)[0].successful
-            assert plugged.parameters()["effects.magnet_drag.force"] == 0.4
-            assert not plugged.set_parameters(effects__magnet_drag__force=-1.0)[0].successful
-            joints = plugged.hear("joint_states", JointState)
-            assert plugged.until(lambda: joints)
-    finally:
-        plugged.close()
+    with beside(tmp_path, "/plugged", PYTHONPATH=site.environment["PYTHONPATH"]) as (plugged, _):
+        assert plugged.set_parameters(effects__magnet_drag__force=0.4)[0].successful
+        assert plugged.parameters()["effects.magnet_drag.force"] == 0.4
+        assert not plugged.set_parameters(effects__magnet_drag__force=-1.0)[0].successful
+        joints = plugged.hear("joint_states", JointState)
+        assert plugged.until(lambda: joints)
 
 
-@pytest.mark.any_distribution
-def test_a_broken_installed_effect_ends_the_node_with_one_line(ros: None, tmp_path: Path) -> None:
-    site = Installed(tmp_path / "site", "EFFECT = 3\n")
-    node = NodeProcess(tmp_path, ["--ros-args"], PYTHONPATH=site.environment["PYTHONPATH"])
-    assert node.exit_code() == 2
-    assert "entry point magnet_drag" in node.output
-    assert "Traceback" not in node.output
+def test_simulated_time_is_followed_by_slow_ticks_without_a_warning_and_may_jump_back(tmp_path: Path) -> None:
+    with beside(tmp_path, "/simulated", ["-p", "use_sim_time:=true"]) as (simulated, process):
+        joints, is_open = simulated.hear("joint_states", JointState), simulated.hear("is_open", Bool, latched=True)
+        heard, clock = Diagnostics(simulated), connected(simulated, simulated.talker("/clock", Clock))
+        assert simulated.until(lambda: heard.is_said("timing", 1, "waiting for /clock") and "ready: " in process.output)
+        assert joints == []
+        now = 0
 
+        def tick() -> None:
+            clock.publish(Clock(clock=Time(sec=now // SECOND, nanosec=now % SECOND)))
 
-def test_a_tank_of_the_station_has_its_own_names_and_file(ros: None, tmp_path: Path) -> None:
-    arguments = ["--ros-args", "-r", "__ns:=/tank_2", "--params-file", str(config_path("tank_2.yaml"))]
-    tank = Probe("/tank_2/valve")
-    try:
-        with running(tmp_path, arguments):
-            joints, heard = tank.hear("joint_states", JointState), tank.hear("/diagnostics", DiagnosticArray)
-            assert tank.until(lambda: joints)
-            assert joints[-1].header.frame_id == "tank_2"
-            assert tank.parameters()["effects.coulomb_friction.force"] == 0.3
-            assert tank.until(lambda: any(m.status[0].name == "tank_2/valve: timing" for m in heard))
-    finally:
-        tank.close()
+        def has_caught_up() -> bool:
+            return bool(joints) and 0 <= now - nanoseconds(joints[-1]) <= PERIOD
 
-
-def test_simulated_time_is_followed_and_may_jump_back(ros: None, tmp_path: Path) -> None:
-    simulated = Probe("/simulated")
-    try:
-        with running(tmp_path, ["--ros-args", "-r", "__node:=simulated", "-p", "use_sim_time:=true"]) as process:
-            joints = simulated.hear("joint_states", JointState)
-            is_open = simulated.hear("is_open", Bool, latched=True)
-            heard = simulated.hear("/diagnostics", DiagnosticArray)
-            clock = connected(simulated, simulated.talker("/clock", Clock))
-            assert simulated.until(lambda: heard and "waiting for /clock" in heard[-1].status[0].message)
-            assert joints == []
-
-            def tick(nanoseconds: int) -> None:
-                message = Clock()
-                message.clock.sec, message.clock.nanosec = divmod(nanoseconds, 1_000_000_000)
-                clock.publish(message)
-
-            def tick_until(first: int, step: int, condition: Any) -> int:
-                now = first
-
-                def ticked() -> bool:
-                    nonlocal now
-                    # Not before the valve has caught up: of more samples than its queue holds, some would be lost.
-                    if not joints or now - nanoseconds(joints[-1]) <= 2 * step:
-                        tick(now)
-                        now += step
-                    return bool(condition())
-
-                assert simulated.until(ticked)
-                return now
-
-            now = tick_until(1_000_000_000, 10_000_000, lambda: joints)
-            assert nanoseconds(joints[0]) >= 1_000_000_000
-            command = commander(simulated)
-            command.publish(Float64(data=9.0))
-            tick_until(now, 10_000_000, lambda: is_open and is_open[-1].data)
-            steps = [nanoseconds(after) - nanoseconds(before) for before, after in itertools.pairwise(joints)]
-            assert set(steps) == {1_000_000}
-            tick_until(1_000_000, 1_000_000, lambda: not is_open[-1].data and nanoseconds(joints[-1]) < 1_000_000_000)
-            assert list(joints[-1].position) == [0.0, 0.0]
-            assert "the clock jumped back" in process.output
-    finally:
-        simulated.close()
-
-
-def test_the_ticks_of_a_slow_clock_are_no_warning_of_a_busy_machine(ros: None, tmp_path: Path) -> None:
-    simulated = Probe("/simulated")
-    try:
-        with running(tmp_path, ["--ros-args", "-r", "__node:=simulated", "-p", "use_sim_time:=true"]) as process:
-            joints = simulated.hear("joint_states", JointState)
-            heard = simulated.hear("/diagnostics", DiagnosticArray)
-            clock = connected(simulated, simulated.talker("/clock", Clock))
-            assert simulated.until(lambda: "ready: " in process.output)
-            now, ticks = 1_000_000_000, 0
-
-            def timings() -> list[str]:
-                said = [status for message in heard for status in message.status if status.name == "simulated: timing"]
-                return [status.message for status in said if "waiting" not in status.message]
-
-            def has_caught_up() -> bool:
-                return bool(joints) and now - nanoseconds(joints[-1]) <= PERIOD
-
-            def tick() -> None:
-                message = Clock()
-                message.clock.sec, message.clock.nanosec = divmod(now, 1_000_000_000)
-                clock.publish(message)
-
-            while ticks < 80 or len(timings()) < 4:
-                # The next tick comes when the valve has caught up, however often this one has to be said: a busy
-                # machine makes this slow and nothing else.
+        def tick_until(first: int, condition: Callable[[], Any]) -> None:
+            """Ticks of 25 ms, each when the valve has caught up with the one before, however often that is said."""
+            nonlocal now
+            now = first
+            while not condition():
                 assert simulated.insist(tick, has_caught_up)
-                now, ticks = now + TICK, ticks + 1
                 simulated.spin_for(0.02)
-            assert not [message for message in timings() if "too busy" in message]
-            assert "too busy" not in process.output
-    finally:
-        simulated.close()
+                now += TICK
+
+        def timings() -> list[str]:
+            return [status.message for status in heard.all("timing") if "waiting" not in status.message]
+
+        tick_until(SECOND, lambda: now > SECOND + 80 * TICK and len(timings()) >= 4)
+        assert nanoseconds(joints[0]) >= SECOND
+        assert not [message for message in timings() if "too busy" in message]
+        assert "too busy" not in process.output
+        commander(simulated).publish(Float64(data=9.0))
+        tick_until(now, lambda: is_open and is_open[-1].data)
+        steps = [nanoseconds(after) - nanoseconds(before) for before, after in itertools.pairwise(joints)]
+        assert set(steps) == {PERIOD}
+        tick_until(PERIOD, lambda: not is_open[-1].data and nanoseconds(joints[-1]) < SECOND)
+        assert list(joints[-1].position) == [0.0, 0.0]
+        assert "the clock jumped back" in process.output
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_it_within_a_second_with_code_0(ros: None, tmp_path: Path, number: signal.Signals) -> None:
-    # A machine that is busy with something else holds up one of them, and not each.
-    assert any(seconds_to_end(tmp_path, number) < 1.0 for _ in range(3))
-
-
-def seconds_to_end(tmp_path: Path, number: signal.Signals) -> float:
-    """How long a node at work takes from a signal to its end, with code 0."""
-    ending = Probe("/ending")
-    try:
-        with running(tmp_path, ["--ros-args", "-r", "__node:=ending"]) as process:
-            joints = ending.hear("joint_states", JointState)
-            assert ending.until(lambda: joints and "ready: " in process.output)
-            seconds = process.seconds_to_end(number)
-            assert process.exit_code() == 0, process.output
-            assert "Traceback" not in process.output
-    finally:
-        ending.close()
-    return seconds
-
-
-def test_the_published_valve_is_said_not_to_open_and_logs_go_elsewhere(ros: None, tmp_path: Path) -> None:
-    arguments = ["--ros-args", "-r", "__node:=published", "--params-file", str(config_path("published.yaml"))]
-    published = Probe("/published")
-    try:
-        with running(tmp_path, arguments, ROS_LOG_DIR="/dev/null/logs") as process:
-            assert published.until(lambda: "the valve cannot open" in process.output)
-            assert "valve_node: /dev/null/logs: cannot be written (Not a directory); logs go to " in process.output
-    finally:
-        published.close()
+def test_the_published_valve_is_said_not_to_open_and_logs_go_elsewhere(tmp_path: Path) -> None:
+    file = ["--params-file", str(config_path("published.yaml"))]
+    with beside(tmp_path, "/published", file, ROS_LOG_DIR="/dev/null/logs") as (published, process):
+        assert published.until(lambda: "the valve cannot open" in process.output)
+        assert "valve_node: /dev/null/logs: cannot be written (Not a directory); logs go to " in process.output

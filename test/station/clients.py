@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import socket
 import subprocess
 import sys
 from datetime import timedelta
@@ -25,12 +24,6 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 from valve_sim.station.opcua_server import NAMESPACE
 
 CLIENT_URI = "urn:valve_sim:test:client"
-
-
-def free_port() -> int:
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        return int(found.getsockname()[1])
 
 
 class Served:

@@ -11,7 +11,8 @@ import sys
 from pathlib import Path
 
 from valve_sim.station.figures import Report, utc
-from valve_sim.station.opcua_server import ServedValve, Settings, StationServer
+from valve_sim.station.opcua_server import ServedValve, StationServer
+from valve_sim.station.tables import OpcUaSettings
 
 VALVES = (ServedValve("/tank_1/valve", "SN-0007"), ServedValve("/tank_2/valve"))
 
@@ -21,7 +22,7 @@ async def recommission(valve: str) -> tuple[bool, str]:
 
 
 async def serve(folder: Path, port: int, allows_anonymous: bool) -> None:
-    settings = Settings(folder, "127.0.0.1", port, allows_anonymous)
+    settings = OpcUaSettings(folder=str(folder), address="127.0.0.1", port=port, anonymous_read=allows_anonymous)
     server = StationServer(settings, VALVES, recommission=recommission)
     await server.start()
     print("ready", flush=True)

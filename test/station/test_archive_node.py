@@ -8,12 +8,10 @@ from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
 import pytest
-from nodes.ros_process import ENDS_WITHIN, Probe, own_lines, piped
+from nodes.ros_process import Probe, ended, own_lines, piped
 
-from valve_sim.model import ParameterError
 from valve_sim.station.figures import Report, finding_report, stroke_report
 from valve_sim.station.keeping import Keeper
-from valve_sim.station.tables import ArchiveSettings, archive_settings
 
 from .test_figures import FINDING, STROKE, SUMMARY
 
@@ -86,30 +84,13 @@ def test_what_a_valves_own_node_says_is_a_class_of_its_own(tmp_path: Path) -> No
     ]
 
 
-def test_settings_are_checked_in_one_line() -> None:
-    assert archive_settings({}, {}) == ArchiveSettings()
-    for given, words in (
-        ({"years": 0.0}, "command line: years: found 0.0, expected a number from 0.01 to 100 years"),
-        ({"valves": ["a", "b"]}, "monitors: found 1, expected 2, one for each of valves"),
-        ({"folder": ""}, "folder: found '', expected a text"),
-        ({"year": 1.0}, "did you mean years?"),
-    ):
-        with pytest.raises(ParameterError) as refused:
-            archive_settings(given, {})
-        assert words in str(refused.value)
-
-
 @pytest.mark.ros
 def test_what_a_monitor_said_is_read_after_the_node_has_gone(probe: Probe, tmp_path: Path) -> None:
-    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-    from rclpy.qos import DurabilityPolicy, QoSProfile
-    from std_msgs.msg import String
-    from std_srvs.srv import Trigger
+    from nodes.ros import LATCHED, DiagnosticArray, DiagnosticStatus, KeyValue, String, Trigger
 
     entries = [KeyValue(key=key, value=value) for key, value in FINDING.items()]
-    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     strokes = probe.talker("/monitor/stroke_report", String)
-    finding = probe.talker("/monitor/finding", DiagnosticArray, latched)
+    finding = probe.talker("/monitor/finding", DiagnosticArray, LATCHED)
     answers = probe.talker("/opcua/alarms", DiagnosticArray)
     answer = {"valve": "/valve", "user": "Bob", "comment": "seen", "shelved": "true"}
     said_of = [KeyValue(key=key, value=value) for key, value in answer.items()]
@@ -128,9 +109,7 @@ def test_what_a_monitor_said_is_read_after_the_node_has_gone(probe: Probe, tmp_p
         probe.spin_for(2.0)  # all are in the node's queues; the next look takes them
         answer = probe.call("serviced", Trigger)
         assert answer.success and answer.message == "/valve: serviced after 3 strokes; they count from 0 again"
-        process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=ENDS_WITHIN)
-    assert process.returncode == 0, said
+        said = ended(process, signal.SIGINT)
     archive = Archive(folder)
     assert [row["number"] for row in archive.read("strokes", "/valve")] == [0, 1, 2]
     assert [row["effect"] for row in archive.read("findings", "/valve")] == ["coulomb_friction"]

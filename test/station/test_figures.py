@@ -8,7 +8,8 @@ from datetime import datetime, timezone
 import pytest
 
 from valve_sim.model import ValveError
-from valve_sim.station.figures import BY_PATH, FIGURES, finding_report, stroke_report, unit_id, unit_of, worst
+from valve_sim.nodes.valve_parameters import unit_of
+from valve_sim.station.figures import BY_PATH, FIGURES, finding_report, stroke_report, unit_id, worst
 
 STROKE = {
     "schema": "valve_sim/stroke/1", "valve": "/tank_1/valve", "stroke": 31, "time": 1790000000.25, "state": "watching",

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import pytest
+from nodes.ros_process import free_port
 
 pytest.importorskip("pymodbus", reason="pymodbus is not installed: pip install '.[modbus]'")
 
@@ -20,17 +21,12 @@ from pymodbus.server import ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
 from valve_sim.model import ValveError
-from valve_sim.station.modbus import ModbusThread, PlcClient, PlcServer
-from valve_sim.station.plc import COMMANDS, STATUS, PlcStation
+from valve_sim.station.loop_thread import LoopThread
+from valve_sim.station.modbus import PlcClient, PlcServer
+from valve_sim.station.plc import STATUS, PlcStation
 
 Cycle = Callable[[int, int], list[int]]
 """Writes heartbeat and command, and reads the eight registers of the status."""
-
-
-def free_port() -> int:
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        return int(found.getsockname()[1])
 
 
 class Served:
@@ -41,7 +37,7 @@ class Served:
         self.port = free_port()
         self.station = PlcStation(("valve",), watchdog=0.5, changed=self._obey)
         self._obey(0)
-        self.thread = ModbusThread(PlcServer(self.station, "127.0.0.1", self.port, clock=lambda: self.now))
+        self.thread = LoopThread("modbus", PlcServer(self.station, "127.0.0.1", self.port, clock=lambda: self.now))
         self.thread.start()
 
     def _obey(self, valve: int) -> None:
@@ -185,7 +181,7 @@ def test_broken_frames_and_floods_change_nothing_and_leave_the_server_serving(se
 
 
 def test_a_port_that_is_taken_is_one_line(served: Served) -> None:
-    other = ModbusThread(PlcServer(served.station, "127.0.0.1", served.port))
+    other = LoopThread("modbus", PlcServer(served.station, "127.0.0.1", served.port))
     with pytest.raises(ValveError, match="cannot be listened on"):
         other.start()
 
@@ -241,7 +237,3 @@ def test_a_plc_that_is_the_server_is_polled_lost_and_found() -> None:
         await server.shutdown()
 
     asyncio.run(play())
-
-
-def test_the_map_leaves_room_for_what_the_plc_writes() -> None:
-    assert COMMANDS == 2 and STATUS == 10

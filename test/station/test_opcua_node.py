@@ -11,34 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from nodes.ros_process import ENDS_WITHIN, Probe, own_lines, piped
+from nodes.ros_process import Probe, ended, free_port, own_lines, piped
 
-from valve_sim.model import ParameterError
 from valve_sim.nodes.starting import Extra
-from valve_sim.station.tables import OpcUaSettings, opcua_settings
 
 from .test_figures import FINDING, STROKE, SUMMARY
-
-
-def test_settings_are_checked_in_one_line() -> None:
-    assert opcua_settings({}, {}) == OpcUaSettings()
-    two = opcua_settings({"valves": ["a", "b"], "monitors": ["c", "d"]}, {})
-    assert two.serial_numbers == ("", "")
-    one_known = {"valves": ["a", "b"], "monitors": ["c", "d"], "serial_numbers": ["", "SN-7"]}
-    assert opcua_settings(one_known, {}).serial_numbers == ("", "SN-7"), "that of one valve may be unknown"
-    dumped = {name: list(value) if isinstance(value, tuple) else value for name, value in two._asdict().items()}
-    assert opcua_settings(dumped, {}) == two, "what `ros2 param dump` writes can be given back"
-    for given, words in (
-        ({"valves": ["a", "b"]}, "monitors: found 1, expected 2, one for each of valves"),
-        ({"port": 70000}, "command line: port: found 70000, expected a number from 1 to 65535"),
-        ({"port": "x"}, "command line: port: found 'x', expected a whole number"),
-        ({"anonymous_read": 1}, "command line: anonymous_read: found 1, expected true or false"),
-        ({"valves": ["a", "a"], "monitors": ["c", "d"]}, "valves: found a, a, expected each once"),
-        ({"folders": ""}, "did you mean folder?"),
-    ):
-        with pytest.raises(ParameterError) as refused:
-            opcua_settings(given, {})
-        assert words in str(refused.value)
 
 
 def test_a_missing_library_is_one_line_that_says_what_to_install() -> None:
@@ -56,20 +33,16 @@ def node(folder: Path) -> tuple[str, ...]:
 
 @pytest.mark.ros
 def test_what_is_said_on_topics_is_read_and_methods_call_services(probe: Probe, tmp_path: Path) -> None:
-    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-    from rclpy.qos import DurabilityPolicy, QoSProfile
-    from std_msgs.msg import Bool, Float64, String
-    from std_srvs.srv import Trigger
+    from nodes.ros import LATCHED, Bool, DiagnosticArray, DiagnosticStatus, Float64, KeyValue, String, Trigger
 
-    from .clients import Identity, free_port
+    from .clients import Identity
 
     entries = [KeyValue(key=key, value=value) for key, value in FINDING.items()]
     finding = DiagnosticArray(status=[DiagnosticStatus(message=SUMMARY, values=entries)])
-    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     talkers = [
         (probe.talker("/monitor/stroke_report", String), String(data=json.dumps(STROKE))),
-        (probe.talker("/monitor/finding", DiagnosticArray, latched), finding),
-        (probe.talker("is_open", Bool, latched), Bool(data=True)),
+        (probe.talker("/monitor/finding", DiagnosticArray, LATCHED), finding),
+        (probe.talker("is_open", Bool, LATCHED), Bool(data=True)),
         (probe.talker("coil_current", Float64), Float64(data=0.75)),
     ]
     diagnostics = DiagnosticArray()
@@ -100,9 +73,7 @@ def test_what_is_said_on_topics_is_read_and_methods_call_services(probe: Probe, 
         assert probe.until(asked.done)
         values, stamp, methods = asked.result()
         assert probe.until(lambda: answers), "a person has shelved the alarm"
-        process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=ENDS_WITHIN)
-    assert process.returncode == 0, said
+        said = ended(process, signal.SIGINT)
     assert values == {
         "Stroke.Number": 31, "Finding.Probability": 0.98, "Live.IsOpen": True, "Live.CoilCurrent": 0.75,
         "Health.Message": "has changed", "Driver.Message": "timing: on time",
@@ -144,19 +115,3 @@ async def _operate(endpoint: str, identity: Any) -> tuple[dict[str, Any], dateti
     await client.get_node(ua.NodeId("valve.Alarm.ShelvingState", index)).call_method("0:OneShotShelve")
     await client.disconnect()
     return values, stamp, methods
-
-
-@pytest.mark.ros
-def test_a_port_that_is_taken_ends_the_node_with_one_line(in_own_domain: None, tmp_path: Path) -> None:
-    import socket
-
-    pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
-    pytest.importorskip("asyncua", reason="asyncua is not installed: pip install '.[opcua]'")
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
-        port = taken.getsockname()[1]
-        with piped(tmp_path, node(tmp_path / "server"), port=port, address="127.0.0.1") as process:
-            _, said = process.communicate(timeout=ENDS_WITHIN)
-    assert process.returncode == 2
-    assert own_lines(said)[-1].startswith(f"opcua_node: port {port} of 127.0.0.1: cannot be listened on"), said

@@ -12,8 +12,9 @@ from datetime import datetime, timezone
 from pathlib import Path
 
 import pytest
+from nodes.ros_process import free_port
 
-from station.clients import CLIENT_URI, Identity, Noted, Served, connected, free_port, place
+from station.clients import CLIENT_URI, Identity, Noted, Served, connected, place
 
 from asyncua import ua  # isort: skip
 
@@ -249,10 +250,12 @@ async def _look_back(served: Served, identity: Identity, shown: int) -> None:
 
 def test_files_that_cannot_be_used_end_the_start_with_one_line(tmp_path: Path) -> None:
     from valve_sim.model import ValveError
-    from valve_sim.station.opcua_server import ServedValve, Settings, StationServer
+    from valve_sim.station.opcua_server import ServedValve, StationServer
+    from valve_sim.station.tables import OpcUaSettings
 
     async def start(folder: Path, port: int) -> None:
-        server = StationServer(Settings(folder, "127.0.0.1", port), [ServedValve("/valve")])
+        settings = OpcUaSettings(folder=str(folder), address="127.0.0.1", port=port)
+        server = StationServer(settings, [ServedValve("/valve")])
         await server.start()
         await server.stop()
 

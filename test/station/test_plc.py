@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import math
 import random
+import struct
 
 import pytest
 
@@ -16,7 +17,6 @@ from valve_sim.station.plc import (
     PlcStation,
     RefusedError,
     map_csv,
-    pressure_of,
 )
 
 WATCHDOG = 0.5
@@ -121,6 +121,11 @@ def test_registers_show_what_was_heard_and_nothing_that_is_stale() -> None:
     swapped = PlcStation(VALVES, WATCHDOG, low_word_first=True)
     swapped.hear(1, 5.0, outlet_pressure=35e6)
     assert swapped.read(5.0)[first : first + 2] == station_words(35e6)[::-1]
+
+
+def pressure_of(registers: list[int]) -> float:
+    """A FLOAT32 of two registers, the high word first."""
+    return float(struct.unpack(">f", struct.pack(">2H", *registers))[0])
 
 
 def station_words(value: float) -> list[int]:

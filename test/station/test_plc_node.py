@@ -4,39 +4,18 @@ from __future__ import annotations
 
 import signal
 from pathlib import Path
-from typing import Any
 
 import pytest
-from nodes.ros_process import ENDS_WITHIN, Probe, own_lines, piped
-
-from valve_sim.model import ParameterError
-from valve_sim.station.tables import PlcSettings, plc_settings
-
-
-def test_settings_are_checked_in_one_line() -> None:
-    assert plc_settings({}, {}) == PlcSettings()
-    for given, words in (
-        ({"watchdog": 0.0}, "command line: watchdog: found 0.0, expected a number from 0.01 to 60 s"),
-        ({"port": 1.5}, "command line: port: found 1.5, expected a whole number"),
-        ({"low_word_first": "yes"}, "expected true or false"),
-        ({"valves": ["a", "a"]}, "valves: found a, a, expected each once"),
-        ({"address": ""}, "address: found '', expected a text"),
-        ({"adress": "x"}, "did you mean address?"),
-    ):
-        with pytest.raises(ParameterError) as refused:
-            plc_settings(given, {})
-        assert words in str(refused.value)
+from nodes.ros_process import Probe, ended, free_port, own_lines, piped
 
 
 @pytest.mark.ros
 def test_a_plc_opens_a_valve_reads_it_falls_silent_and_the_coil_is_off(probe: Probe, tmp_path: Path) -> None:
-    from rclpy.qos import DurabilityPolicy, QoSProfile
-    from std_msgs.msg import Bool, Float64, UInt8
+    from nodes.ros import LATCHED, Bool, Float64, UInt8
 
-    from .test_modbus import free_port, pymodbus_cycle
+    from .test_modbus import pymodbus_cycle
 
-    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    is_open, phase = probe.talker("is_open", Bool, latched), probe.talker("phase", UInt8, latched)
+    is_open, phase = probe.talker("is_open", Bool, LATCHED), probe.talker("phase", UInt8, LATCHED)
     current, volts = probe.talker("coil_current", Float64), probe.hear("coil_voltage", Float64)
     port, file, beats = free_port(), tmp_path / "map.csv", 0
     program = ("-m", "valve_sim.station", "plc_node", "--ros-args", "-p", f"map_file:={file}")
@@ -70,26 +49,8 @@ def test_a_plc_opens_a_valve_reads_it_falls_silent_and_the_coil_is_off(probe: Pr
         assert probe.until(lambda: is_shown(0, 0, 0))
         assert probe.until(lambda: is_shown(1, 4, 1))
         close()
-        process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=ENDS_WITHIN)
-        assert process.returncode == 0, said
+        said = ended(process, signal.SIGINT)
         assert probe.until(lambda: volts[-1].data == 0.0), said
     lines = own_lines(said)
     assert any("/valve: de-energised, the PLC has been silent for 1 s" in line for line in lines), said
     assert file.read_text().splitlines()[1].startswith("/valve,heartbeat,0,40001,UINT16")
-
-
-@pytest.mark.ros
-def test_a_port_that_is_taken_ends_the_node_with_one_line(in_own_domain: None, tmp_path: Path) -> None:
-    import socket
-
-    pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
-    pytest.importorskip("pymodbus", reason="pymodbus is not installed: pip install '.[modbus]'")
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
-        port: Any = taken.getsockname()[1]
-        with piped(tmp_path, ("-m", "valve_sim.station", "plc_node"), port=port, address="127.0.0.1") as process:
-            _, said = process.communicate(timeout=ENDS_WITHIN)
-    assert process.returncode == 2
-    assert own_lines(said)[-1].startswith(f"plc_node: port {port} of 127.0.0.1: cannot be listened on"), said

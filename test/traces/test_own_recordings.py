@@ -237,6 +237,14 @@ def test_a_cut_recording_keeps_its_foreign_messages(tmp_path: Path, made: Record
     assert len(read_trace(file, None, load_map(lab)).times) == len(made.times)
 
 
+def test_a_folder_without_metadata_keeps_messages_of_a_type_of_the_lab(tmp_path: Path, made: Recording) -> None:
+    bag = tracker(tmp_path, made)
+    (bag / "metadata.yaml").unlink()
+    trace = read_trace(bag, None, load_map(page_map("tracker.yaml", tmp_path)))
+    check(trace, made)
+    assert any("metadata.yaml is missing" in finding for finding in trace.findings)
+
+
 # --- what is wrong is said in one line ---
 
 LAB = "command: {topic: /lab/supply}\nposition: {topic: /lab/lvdt, unit: mm, sign: -1, offset: 12.5}\n"

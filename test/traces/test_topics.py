@@ -4,14 +4,15 @@ import tracemalloc
 from pathlib import Path
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_typestore
 
 from valve_sim.model import Drive
 from valve_sim.traces import Signal, Trace, read_trace, write_bag
-from valve_sim.traces.cdr import Decoder
-from valve_sim.traces.topics import TopicReader
+from valve_sim.traces.cdr import typestore
+from valve_sim.traces.topics import Topic
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -24,45 +25,51 @@ def joint_state(names: list[str], position: float) -> bytes:
     return bytes(STORE.serialize_cdr(message, JOINT_STATE))
 
 
+def topic(keep: set[str] | None = None) -> Topic:
+    return Topic(JOINT_STATE, typestore().fielddefs, keep)
+
+
 @given(
-    st.lists(st.tuples(st.sampled_from([["pilot"], ["pilot", "main"], ["other"]]), st.floats(-1, 1)), max_size=30),
+    st.lists(
+        st.tuples(st.integers(0, 99), st.sampled_from([["pilot"], ["pilot", "main"], ["other"]]), st.floats(-1, 1)),
+        max_size=30,
+    ),
     st.integers(1, 7),
 )
-def test_blocks_make_no_difference(messages: list[tuple[list[str], float]], size: int) -> None:
-    payloads = [joint_state(names, position) for names, position in messages]
-    decoder = Decoder(JOINT_STATE)
-    for start in range(0, len(payloads), size):
-        decoder.take_messages(payloads[start : start + size])
-    found = {}
-    for batch in decoder.decoded().batches:
-        for place, position in zip(batch.places.tolist(), batch.numbers("position").tolist(), strict=True):
-            found[place] = (list(batch.layout.texts["name"]), position)
-    assert [found[place] for place in range(len(messages))] == messages
+def test_blocks_and_files_make_no_difference(messages: list[tuple[int, list[str], float]], size: int) -> None:
+    """Whatever blocks they come in, and however files overlap, they are in the order of time."""
+    taken = topic()
+    for start in range(0, len(messages), size):
+        block = messages[start : start + size]
+        payloads = [joint_state(names, position) for _, names, position in block]
+        stops = np.cumsum([len(payload) for payload in payloads])
+        starts = np.concatenate([[0], stops[:-1]])
+        times = np.array([time for time, _, _ in block], dtype=np.int64)
+        taken.take(times, np.frombuffer(b"".join(payloads), np.uint8), starts, stops)
+    taken.finish()
+    found, times = {}, taken.stamps("bag").taken
+    for batch in taken.batches:
+        for index, position in zip(batch.indices.tolist(), batch.columns["position", 0].tolist(), strict=True):
+            found[index] = (int(times[index]), list(batch.joints), position)
+    assert [found[index] for index in range(len(messages))] == sorted(messages, key=lambda message: message[0])
 
 
-def test_only_what_is_asked_for_is_kept() -> None:
-    decoder = Decoder(JOINT_STATE, keep={"position"})
-    decoder.take_messages([joint_state(["pilot"], 0.5)])
-    (batch,) = decoder.decoded().batches
-    assert set(batch.columns) == {"position"}
-    assert batch.stamps is not None
-    assert batch.stamps.array().tolist() == [3_000_000_005]
-
-
-def test_later_files_come_in_bag_time_order() -> None:
-    first, later = (TopicReader(Decoder(JOINT_STATE)) for _ in range(2))
-    first.take_message(20, joint_state(["pilot"], 2.0))
-    first.take_message(40, joint_state(["pilot"], 4.0))
-    later.take_message(10, joint_state(["pilot"], 1.0))
-    later.take_message(30, joint_state(["pilot"], 3.0))
-    first.absorb(later)
-    times, decoded = first.topic()
-    assert decoded is not None
-    values = np.empty(4)
-    for batch in decoded.batches:
-        values[batch.where] = batch.numbers("position")
-    assert times.array().tolist() == [10, 20, 30, 40]
-    assert values.tolist() == [1.0, 2.0, 3.0, 4.0]
+@pytest.mark.parametrize(
+    ("keep", "kept"),
+    [
+        ({"position"}, [("position", 0), ("position", 1)]),
+        ({"velocity[1]", "effort[5]"}, [("velocity", 1)]),
+        ({""}, []),
+    ],
+)
+def test_only_what_is_asked_for_is_kept(keep: set[str], kept: list[tuple[str, int]]) -> None:
+    taken = topic(keep)
+    taken.add(7, joint_state(["pilot", "main"], 0.5))
+    taken.finish()
+    (batch,) = taken.batches
+    assert list(batch.columns) == kept
+    assert [column.tolist() for column in taken.stamps()] == [[3_000_000_005], [7 - 3_000_000_005], [True]]
+    assert [column.tolist() for column in taken.stamps("bag")] == [[7], [0], [False]]
 
 
 def test_memory_does_not_hold_the_messages(tmp_path: Path) -> None:

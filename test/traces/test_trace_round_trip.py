@@ -11,7 +11,6 @@ import pytest
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection
-from rosbags.rosbag2 import Writer
 
 from valve_sim.model import Drive
 from valve_sim.traces import (
@@ -29,7 +28,6 @@ from valve_sim.traces import (
     write_bags,
     write_csv,
 )
-from valve_sim.traces.many_messages import ManyWriter
 
 from .bag_makers import EPOCH, GAP, JOINT_STATE, LEAVES, REACHES_MAIN, REACHES_STOP, STORE, clean_trace, joint_state
 
@@ -276,20 +274,3 @@ def test_summary_in_numbers() -> None:
     assert summary.voltages == (0.0, 9.0)
     assert summary.noise == pytest.approx(1e-6, rel=0.2)
     assert len(summary.strokes) == 2
-
-
-def test_many_messages_at_once_are_the_file_that_rosbags_writes_one_by_one(tmp_path: Path) -> None:
-    """Of many chunks, byte for byte, and with the same index and metadata."""
-    count = 40_000
-    times = np.arange(count) / 20e3
-    trace = Trace("made", Drive.of([0.0, 1.0], [9.0, 0.0]), times, np.sin(times), coil_current=Signal(times, times))
-    found = {}
-    for way in ("many", "one by one"):
-        with pytest.MonkeyPatch.context() as patch:
-            if way == "one by one":
-                patch.setattr(ManyWriter, "STORAGE_PLUGINS", Writer.STORAGE_PLUGINS)
-            write_bag(tmp_path / way / "bag", trace)
-        found[way] = {path.name: path.read_bytes() for path in (tmp_path / way / "bag").iterdir()}
-    assert sorted(found["many"]) == ["bag.mcap", "metadata.yaml"]
-    assert len(found["many"]["bag.mcap"]) > 5 * 2**20
-    assert found["many"] == found["one by one"]

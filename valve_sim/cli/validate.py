@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
 import click
 
+from valve_sim.cli.cluster import Decorated
 from valve_sim.cli.command_line import Command
 from valve_sim.cli.options import (
     FILE,
@@ -26,6 +28,17 @@ OUTSIDE: Final = 1
 """Exit code where a recording is outside the tolerance."""
 
 
+def _tolerance_option(unit: str, words: str) -> Callable[[Decorated], Decorated]:
+    """--tolerance-<unit>: the largest error of one quantity."""
+    return click.option(
+        f"--tolerance-{unit}",
+        metavar=unit.upper(),
+        type=finite_number(0.0, is_open=True),
+        show_default="3 times the standard deviation that is predicted",
+        help=words,
+    )
+
+
 @click.command(cls=Command)
 @bags_argument
 @click.option("--params", metavar="FILE", type=FILE, help="Parameter file of the valve to check.")
@@ -36,27 +49,9 @@ OUTSIDE: Final = 1
     type=finite_number(0.0, is_open=True),
     help="With --plant: largest rms error of its first output, in its SI unit.",
 )
-@click.option(
-    "--tolerance-um",
-    metavar="UM",
-    type=finite_number(0.0, is_open=True),
-    show_default="3 times the standard deviation that is predicted",
-    help="Largest rms error, µm.",
-)
-@click.option(
-    "--tolerance-ma",
-    metavar="MA",
-    type=finite_number(0.0, is_open=True),
-    show_default="3 times the standard deviation that is predicted",
-    help="Largest rms error of the current, mA, for recordings without positions.",
-)
-@click.option(
-    "--tolerance-kpa",
-    metavar="KPA",
-    type=finite_number(0.0, is_open=True),
-    show_default="3 times the standard deviation that is predicted",
-    help="Largest rms error of the outlet's pressure, kPa, for a valve with gas.",
-)
+@_tolerance_option("um", "Largest rms error, µm.")
+@_tolerance_option("ma", "Largest rms error of the current, mA, for recordings without positions.")
+@_tolerance_option("kpa", "Largest rms error of the outlet's pressure, kPa, for a valve with gas.")
 @click.option("--junit", metavar="XML", type=FILE, help="Write a JUnit report, a test case for each stroke.")
 @click.option(
     "--plot", metavar="PNG", type=FILE, help="Draw measured and predicted position, and the residual (one BAG)."

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import queue
 import threading
 import time
@@ -113,13 +114,6 @@ class Listener:
 
 def message_classes() -> dict[str, Any]:
     """The message types of the topics by name."""
-    from sensor_msgs.msg import BatteryState, JointState
-    from std_msgs.msg import Bool, Float64, UInt8
-
-    return {
-        "sensor_msgs/msg/JointState": JointState,
-        "sensor_msgs/msg/BatteryState": BatteryState,
-        "std_msgs/msg/Float64": Float64,
-        "std_msgs/msg/UInt8": UInt8,
-        "std_msgs/msg/Bool": Bool,
-    }
+    names = {*TOPICS.values(), "std_msgs/msg/Float64"}
+    places = {name: (name.partition("/")[0], name.rpartition("/")[2]) for name in names}
+    return {name: getattr(importlib.import_module(f"{package}.msg"), kind) for name, (package, kind) in places.items()}

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.files.channels import UNITS
-from valve_sim.files.tables import TableError
+from valve_sim.files.recording_map import TimeAxis
+from valve_sim.files.tables import TableError, number_in
 
 Array = NDArray[np.float64]
 
@@ -66,11 +67,11 @@ class DataTable:
         """Where a row (from 0 on) is in the file, for messages."""
         return f"row {row + 1}"
 
-    def row_times(self, column: str, factor: float) -> tuple[Array, NDArray[np.bool_], int]:
+    def row_times(self, axis: TimeAxis) -> tuple[Array, NDArray[np.bool_], int]:
         """When each row was taken.
 
         Args:
-            column: its name or number. factor: seconds in its unit.
+            axis: by which column of the table, or at what rate.
 
         Returns:
             (n,) s; (n,) which rows to keep: a row with the time of the one before goes; how many these are.
@@ -78,7 +79,11 @@ class DataTable:
         Raises:
             TableError: a cell is empty, time runs backwards, or many rows share one time.
         """
-        times = factor * self.column(column)
+        if axis.rate:
+            rows = len(self.column(self.names[0]))
+            return np.arange(rows) / axis.rate, np.ones(rows, dtype=bool), 0
+        column = axis.column
+        times = axis.unit * self.column(column)
         finite = np.isfinite(times)
         if not finite.all():
             where = self.place(int(np.argmin(finite)))
@@ -164,7 +169,7 @@ class TextTable(DataTable):
                 continue
             cells = _cells(line, self._delimiter)
             cell = cells[place] if place < len(cells) else None
-            value = np.nan if cell == "" else _number(cell)
+            value = np.nan if cell == "" else number_in(cell or "")
             if value is None:
                 found = "nothing" if cell is None else repr(cell[:40])
                 raise TableError(
@@ -188,13 +193,6 @@ def _decoded(data: bytes) -> str:
 def _cells(line: str, delimiter: str | None) -> list[str]:
     cells = [cell.strip().strip('"').strip() for cell in line.strip().split(delimiter)]
     return cells if delimiter == "," else [cell.replace(",", ".") for cell in cells]
-
-
-def _number(cell: str | None) -> float | None:
-    try:
-        return None if cell is None else float(cell)
-    except ValueError:
-        return None
 
 
 def _find_data(path: Path, lines: Sequence[str]) -> tuple[str | None, int, int]:
@@ -232,7 +230,7 @@ def _width_of_numbers(line: str, delimiter: str | None, words: int) -> int | Non
     if line.lstrip().startswith(_COMMENTS):
         return 0
     cells = _cells(line, delimiter)
-    numbers = sum(cell == "" or _number(cell) is not None for cell in cells)
+    numbers = sum(cell == "" or number_in(cell) is not None for cell in cells)
     return len(cells) if len(cells) > 1 and numbers >= max(2, len(cells) - words) else 0
 
 
@@ -299,7 +297,7 @@ class _ArrayTable(DataTable):
             return np.array([np.nan if value is None else float(value) for value in found.tolist()])
         except (TypeError, ValueError):
             listed = found.tolist()
-            row = next(row for row, value in enumerate(listed) if value is not None and _number(str(value)) is None)
+            row = next(row for row, value in enumerate(listed) if value is not None and number_in(str(value)) is None)
             raise TableError(
                 f"{self.path}: row {row + 1}: column {self.names[place]}: found {str(listed[row])[:40]!r}, expected a "
                 "number; name a column of numbers"

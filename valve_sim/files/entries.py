@@ -38,6 +38,12 @@ class Entries:
             raise self.fail(key, f"found {short(found)}, expected {expected}")
         return found
 
+    def filled(self, key: str, found: object, expected: str) -> Mapping[Any, Any]:
+        """Keys and values, at least one; `expected` shows what."""
+        if not isinstance(found, Mapping) or not found:
+            raise self.fail(key, f"found {short(found)}, expected {expected}")
+        return found
+
     def check_keys(self, key: str, found: Mapping[Any, Any], known: Sequence[str], hint: str = "") -> None:
         """Refuse keys that are not known; `hint` ends the error."""
         for name in found:

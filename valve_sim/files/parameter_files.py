@@ -34,6 +34,7 @@ from typing import Any
 
 import yaml
 
+from valve_sim.files.entries import short
 from valve_sim.files.parameter_sections import (
     DEFAULT_FILE,
     FORM,
@@ -41,7 +42,6 @@ from valve_sim.files.parameter_sections import (
     Dumper,
     default_values,
     read_sections,
-    shortened,
 )
 from valve_sim.files.resources import config_path
 from valve_sim.files.whole_files import write_whole
@@ -97,9 +97,7 @@ def valve_from_flat(values: Mapping[str, object], source: str, base: Valve | Non
     for name, value in values.items():
         root, _, rest = name.partition(".")
         if name in (COVARIANCE_NAME, f"valve.{COVARIANCE_NAME}"):
-            raise ParameterError(
-                f"{source}: {name}: found {shortened(value)}, expected it as tolerances.{COVARIANCE_NAME}"
-            )
+            raise ParameterError(f"{source}: {name}: found {short(value)}, expected it as tolerances.{COVARIANCE_NAME}")
         if root == "valve":
             _check_name(rest, ValveParameters._fields, name, value, source)
             declared[rest] = value
@@ -222,7 +220,7 @@ def read_tolerances(text: object, source: str) -> dict[str, Any]:
         found = None
     if not isinstance(found, dict):
         raise ParameterError(
-            f"{source}: tolerances: found {shortened(text)}, expected names of declared values below it, or all of "
+            f"{source}: tolerances: found {short(text)}, expected names of declared values below it, or all of "
             'them in JSON, such as {"stroke": 4e-06}'
         )
     return found
@@ -241,7 +239,7 @@ def add_tolerance(tolerances: dict[str, Any], key: str, value: object, source: s
     group, dot, rest = name.partition(".")
     if group in ("gas", "sensor"):
         if not dot:
-            raise ParameterError(f"{source}: {key}: found {shortened(value)}, expected tolerances.{group}.<name>")
+            raise ParameterError(f"{source}: {key}: found {short(value)}, expected tolerances.{group}.<name>")
         tolerances.setdefault(group, {})[rest] = value
         return
     if group != "effects":
@@ -249,9 +247,7 @@ def add_tolerance(tolerances: dict[str, Any], key: str, value: object, source: s
         return
     effect, dot, parameter = rest.partition(".")
     if not dot:
-        raise ParameterError(
-            f"{source}: {key}: found {shortened(value)}, expected tolerances.effects.<effect>.<parameter>"
-        )
+        raise ParameterError(f"{source}: {key}: found {short(value)}, expected tolerances.effects.<effect>.<parameter>")
     tolerances.setdefault("effects", {}).setdefault(effect, {})[parameter] = value
 
 
@@ -263,7 +259,7 @@ def _check_name(given: str, known: Sequence[str], key: str, value: object, sourc
         mend = f"; did you mean {closest(given, known)}?" if given else ""
         names = ", ".join(known)
         raise ParameterError(
-            f"{source}: {key}: found {shortened(value)} under an unknown name{mend} Expected one of {names}"
+            f"{source}: {key}: found {short(value)} under an unknown name{mend} Expected one of {names}"
         )
 
 
@@ -271,7 +267,7 @@ def _check_effect_name(effect: str, parameter: str, key: str, value: object, sou
     _check_name(effect, list(CATALOGUE), key, value, source)
     names = CATALOGUE[effect].given_names
     if not parameter:
-        raise ParameterError(f"{source}: {key}: found {shortened(value)}, expected {{{', '.join(names)}}}")
+        raise ParameterError(f"{source}: {key}: found {short(value)}, expected {{{', '.join(names)}}}")
     if parameter not in CATALOGUE[effect].retired:
         _check_name(parameter, names, key, value, source)
 
@@ -281,19 +277,15 @@ def _check_misplaced(name: str, value: object, source: str) -> None:
     root = name.partition(".")[0]
     if root in ValveParameters._fields:
         raise ParameterError(
-            f"{source}: {name}: found {shortened(value)} beside valve:, expected it below, as valve.{name}"
+            f"{source}: {name}: found {short(value)} beside valve:, expected it below, as valve.{name}"
         )
     if root in GAS:
-        raise ParameterError(
-            f"{source}: {name}: found {shortened(value)} beside gas:, expected it below, as gas.{name}"
-        )
+        raise ParameterError(f"{source}: {name}: found {short(value)} beside gas:, expected it below, as gas.{name}")
     if root in CATALOGUE:
-        raise ParameterError(
-            f"{source}: {name}: found {shortened(value)} beside effects:, expected it as effects.{name}"
-        )
+        raise ParameterError(f"{source}: {name}: found {short(value)} beside effects:, expected it as effects.{name}")
     for known in ROOT_KEYS:
         if "." in name and _are_alike(root, known):
-            raise ParameterError(f"{source}: {name}: found {shortened(value)} below {root}:, expected {known}:")
+            raise ParameterError(f"{source}: {name}: found {short(value)} below {root}:, expected {known}:")
 
 
 def _are_alike(name: str, known: str) -> bool:

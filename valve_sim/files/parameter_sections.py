@@ -6,7 +6,6 @@ and loading that takes half a second.
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import Any, Final, NamedTuple
 
 import yaml
 
+from valve_sim.files.entries import short
 from valve_sim.files.resources import config_path
 from valve_sim.files.whole_files import write_whole
 from valve_sim.files.yaml_files import read_yaml
@@ -116,7 +116,7 @@ Dumper.add_representer(
 
 def _find_sections(found: object, prefix: str, path: str) -> Iterator[Section]:
     if not isinstance(found, Mapping):
-        raise ParameterError(f"{path}: {prefix or 'the file'}: found {shortened(found)}; {FORM}")
+        raise ParameterError(f"{path}: {prefix or 'the file'}: found {short(found)}; {FORM}")
     for key, value in found.items():
         if not isinstance(key, str):
             raise ParameterError(f"{path}: {prefix}: found the key {key!r}, expected a name")
@@ -132,14 +132,12 @@ def _flat(found: object, prefix: str, path: str) -> Iterator[tuple[str, object]]
         return
     if not isinstance(found, Mapping):
         if not prefix:
-            raise ParameterError(f"{path}: ros__parameters: found {shortened(found)}, expected names and values")
+            raise ParameterError(f"{path}: ros__parameters: found {short(found)}, expected names and values")
         if found is None:
             raise ParameterError(f"{path}: {prefix}: has no value; give one, or take the line out")
         for item in found if isinstance(found, list) else [found]:
             if isinstance(item, int) and abs(item) > LARGEST_INTEGER:
-                raise ParameterError(
-                    f"{path}: {prefix}: found {shortened(item)}, more than an integer of ROS 2 can hold"
-                )
+                raise ParameterError(f"{path}: {prefix}: found {short(item)}, more than an integer of ROS 2 can hold")
         yield prefix, found
         return
     if not found and prefix.startswith("effects."):
@@ -155,9 +153,3 @@ def _one_type(value: object) -> object:
     if is_mixed and all(type(item) in (int, float) for item in value):  # type: ignore[attr-defined]
         return [float(item) for item in value]  # type: ignore[attr-defined]
     return value
-
-
-def shortened(value: object) -> str:
-    """What was found, as a message shows it: not too long."""
-    text = "nan" if isinstance(value, float) and math.isnan(value) else repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."

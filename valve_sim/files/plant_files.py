@@ -40,7 +40,6 @@ TEMPLATE_SECTIONS: Final = ("plant", "rotary", "parameters", "outputs", "effects
 RESERVED: Final = ("t", "time", *FUNCTIONS)
 """Names that no state, input or parameter may have."""
 _NAME: Final = re.compile(r"[A-Za-z_][A-Za-z_0-9]*$")
-_SLOPE: Final[Dimension] = (0, 0, -1, 0, 0)
 MOST_EFFECTS: Final = 40
 LARGEST: Final = 5000
 """Operations of an output with all that it uses."""
@@ -205,6 +204,12 @@ def renamed(expression: Expr, names: Mapping[str, str]) -> Expr:
     if expression.op == "name":
         return Expr("name", (), names.get(expression.value, expression.value))
     return Expr(expression.op, tuple(renamed(own, names) for own in expression.args), expression.value)
+
+
+def _a_second(unit: Unit) -> Dimension:
+    """The dimension of the rate at which what has this unit changes."""
+    length, mass, time, current, temperature = unit.dimension
+    return length, mass, time - 1, current, temperature
 
 
 def is_own_plant(path: Path | str) -> bool:
@@ -407,6 +412,16 @@ class _Reader(Entries):
         """A number in the unit of its entry, in SI."""
         return self.number(key, found) * (1.0 if unit is None else unit.factor)
 
+    def _from_zero(
+        self, key: str, entry: Mapping[str, Any], unit: Unit | None = None, what: str = "a standard deviation"
+    ) -> float:
+        """A number of an entry that is not negative, in SI; 0 where it is not given."""
+        given = entry.get(key.rpartition(".")[2], 0.0)
+        found = self._number(key, given, unit)
+        if found < 0.0:
+            raise self.fail(key, f"found {given}, expected {what} from 0 on")
+        return found
+
     def _title(self, key: str, entry: Mapping[str, Any]) -> str:
         title = entry.get("title", "")
         if not isinstance(title, str) or "\n" in title or len(title) > 80:
@@ -431,14 +446,9 @@ class _Reader(Entries):
         entry = self._entry(key, found, ("unit", "start"))
         unit = self._unit(key, entry)
         start = entry.get("start", 0.0)
-        return StateEntry(
-            unit, None if start == "free" else self._number(f"{key}.start", self._start(key, start), unit)
-        )
-
-    def _start(self, key: str, start: object) -> object:
-        if isinstance(start, str):
+        if isinstance(start, str) and start != "free":
             raise self.fail(f"{key}.start", f"found {short(start)}, expected a number or free")
-        return start
+        return StateEntry(unit, None if start == "free" else self._number(f"{key}.start", start, unit))
 
     def _input(self, name: str, found: object) -> InputEntry:
         key = f"inputs.{name}"
@@ -446,7 +456,8 @@ class _Reader(Entries):
         between = entry.get("between", "straight")
         if between not in ("held", "straight"):
             raise self.fail(f"{key}.between", f"found {short(between)}, expected held or straight")
-        return InputEntry(self._unit(key, entry), between == "held", self._delay(key, entry))
+        delay = self._from_zero(f"{key}.delay", entry, what="seconds")
+        return InputEntry(self._unit(key, entry), between == "held", delay)
 
     def _parameter(self, name: str, found: object) -> ParameterEntry:
         key = f"parameters.{name}"
@@ -455,17 +466,12 @@ class _Reader(Entries):
         if "value" not in entry:
             raise self.fail(f"{key}.value", "is missing; give the declared value, or where a fit starts")
         value = self._number(f"{key}.value", entry["value"], unit)
-        tolerance = self._number(f"{key}.tolerance", entry["tolerance"], unit) if "tolerance" in entry else 0.0
-        if tolerance < 0.0:
-            raise self.fail(f"{key}.tolerance", f"found {entry['tolerance']}, expected a standard deviation from 0 on")
+        tolerance, varies = (self._from_zero(f"{key}.{name}", entry, unit) for name in ("tolerance", "varies"))
         free = entry.get("free", False)
         if not isinstance(free, bool):
             raise self.fail(f"{key}.free", f"found {short(free)}, expected true or false")
         if free and tolerance:
             raise self.fail(f"{key}.tolerance", "stands beside free: true, which knows none; take one of them out")
-        varies = self._number(f"{key}.varies", entry["varies"], unit) if "varies" in entry else 0.0
-        if varies < 0.0:
-            raise self.fail(f"{key}.varies", f"found {entry['varies']}, expected a standard deviation from 0 on")
         lower, upper = self._range(key, entry, unit)
         if not lower <= value <= upper:
             raise self.fail(f"{key}.value", f"found {entry['value']}, expected within range: {entry['range']}")
@@ -515,8 +521,7 @@ class _Reader(Entries):
                 raise self.fail(key, f"is missing; say how the state {name} changes")
             derivatives[name] = self._expression(key, found[name], dimensions)
             own = self._dimension(key, derivatives[name], dimensions)
-            rate = tuple(a + b for a, b in zip(state.unit.dimension, _SLOPE, strict=True))
-            self._fits(key, own, rate, f"the unit of {name} a second")
+            self._fits(key, own, _a_second(state.unit), f"the unit of {name} a second")
         return derivatives
 
     def _output_unit(self, name: str, found: object) -> Unit:
@@ -559,7 +564,7 @@ class _Reader(Entries):
                 f"{key}.noise",
                 f"found {entry['noise']}, expected a standard deviation above 0; leave it out where it is not known",
             )
-        return OutputEntry(unit, value, noise, self._delay(key, entry))
+        return OutputEntry(unit, value, noise, self._from_zero(f"{key}.delay", entry, what="seconds"))
 
     def _used(
         self, derivatives: Mapping[str, Expr], outputs: Mapping[str, OutputEntry],
@@ -598,22 +603,14 @@ class _Reader(Entries):
             effects[name] = EffectEntry(add, parameters, self._alike(key, entry, found), self._title(key, entry), delay)
         return effects
 
-    def _delay(self, key: str, entry: Mapping[str, Any]) -> float:
-        """s, of an input or output; a plain number is in s."""
-        found = self._number(f"{key}.delay", entry.get("delay", 0.0))
-        if found < 0.0:
-            raise self.fail(f"{key}.delay", f"found {entry['delay']}, expected seconds from 0 on")
-        return found
-
     def _delays(
         self, key: str, found: object, parameters: Mapping[str, EffectParameter], outputs: Mapping[str, OutputEntry]
     ) -> dict[str, str]:
         """Which parameter of an effect delays which input or output."""
         key = f"{key}.delay"
-        if not isinstance(found, Mapping) or not found:
-            raise self.fail(key, f"found {short(found)}, expected an input or output and a parameter: {{force: lag}}")
         known = [*self._section("inputs"), *outputs]
-        for target, name in found.items():
+        entries = self.filled(key, found, "an input or output and a parameter: {force: lag}")
+        for target, name in entries.items():
             if target not in known:
                 raise self.fail(f"{key}.{target}", f"is no input and no output; {alternatives(target, known)}")
             if name not in parameters:
@@ -624,7 +621,7 @@ class _Reader(Entries):
                 raise self.fail(
                     f"{key}.{target}", f"{name} needs neutral: 0 and a range from 0 on, such as range: [0, 0.1]"
                 )
-        return {str(target): str(name) for target, name in found.items()}
+        return {str(target): str(name) for target, name in entries.items()}
 
     def _alike(self, key: str, entry: Mapping[str, Any], effects: Mapping[str, Any]) -> tuple[str, ...]:
         alike = entry.get("confused_with", [])
@@ -641,12 +638,8 @@ class _Reader(Entries):
         self, key: str, found: object, dimensions: Mapping[str, Dimension]
     ) -> dict[str, EffectParameter]:
         key = f"{key}.parameters"
-        if not isinstance(found, Mapping) or not found:
-            raise self.fail(
-                key, f"found {short(found)}, expected at least one: {{level: {{unit: N, neutral: 0, scale: 10}}}}"
-            )
         parameters = {}
-        for name, own in found.items():
+        for name, own in self.filled(key, found, "at least one: {level: {unit: N, neutral: 0, scale: 10}}").items():
             where = f"{key}.{name}"
             self._check_name(where, name)
             if name in dimensions:
@@ -686,22 +679,17 @@ class _Reader(Entries):
     ) -> dict[str, Expr]:  # fmt: skip
         derivatives, outputs, dimensions = known
         key = f"{key}.add"
-        if not isinstance(found, Mapping) or not found:
-            raise self.fail(
-                key,
-                f"found {short(found)}, expected what it adds to derivatives or outputs: {{v: -level*sign(v)/mass}}",
-            )
         add = {}
-        for target, own in found.items():
+        expected = "what it adds to derivatives or outputs: {v: -level*sign(v)/mass}"
+        for target, own in self.filled(key, found, expected).items():
             where = f"{key}.{target}"
             if target not in derivatives and target not in outputs:
                 raise self.fail(where, f"is no state and no output; {alternatives(target, [*derivatives, *outputs])}")
             expression = self._expression(where, own, dimensions)
             dimension = self._dimension(where, expression, dimensions)
             if target in derivatives:
-                (unit,) = (self._unit(f"states.{target}", self._found["states"][target]),)
-                rate = tuple(a + b for a, b in zip(unit.dimension, _SLOPE, strict=True))
-                self._fits(where, dimension, rate, f"the unit of {target} a second")
+                unit = self._unit(f"states.{target}", self._found["states"][target])
+                self._fits(where, dimension, _a_second(unit), f"the unit of {target} a second")
             else:
                 self._fits(where, dimension, outputs[target].unit.dimension, f"the unit of {target}")
             add[str(target)] = expression

@@ -71,6 +71,11 @@ class Source:
     clock: str = ""
 
     @property
+    def path(self) -> str:
+        """Dotted path of its numbers in a message, of a joint that of the list; empty: the only number."""
+        return self.field or ("position" if self.joint else "")
+
+    @property
     def name(self) -> str:
         """Where this entry is, for messages."""
         if self.column:
@@ -90,10 +95,10 @@ class Source:
 
 @dataclass(frozen=True)
 class TimeAxis:
-    """The times of a table's rows: from a column, or by a known rate (Hz)."""
+    """The times of a table's rows: from a column, in units of so many s, or by a known rate (Hz)."""
 
     column: str = ""
-    unit: str = "s"
+    unit: float = 1.0
     rate: float = 0.0
 
 
@@ -184,6 +189,29 @@ def load_force_map(path: Path | str) -> Mapping[str, Source]:
     return sources
 
 
+def time_axis(reader: Entries, found: object) -> TimeAxis:
+    """Check where a map has the times of a table's rows.
+
+    Raises:
+        MapError: It has neither a column nor a rate, or both; or its unit is none of time.
+    """
+    if isinstance(found, str | int) and not isinstance(found, bool):
+        found = {"column": found}
+    entry = reader.mapping("time", found, "{column: t, unit: s} or {rate: 1000}")
+    reader.check_keys("time", entry, ["column", "unit", "rate"])
+    unit = reader.unit("time.unit", entry.get("unit", "s"))
+    if unit.dimension != UNITS["time"]["s"].dimension:
+        raise reader.fail("time.unit", f"found {entry['unit']!r}, expected one of {', '.join(UNITS['time'])}")
+    if ("rate" in entry) == ("column" in entry):
+        raise reader.fail("time", f"found {short(dict(entry))}, expected either column: or rate:")
+    if "column" in entry:
+        return TimeAxis(reader.text("time.column", entry["column"]), unit.factor)
+    rate = reader.number("time.rate", entry["rate"])
+    if rate <= 0.0:
+        raise reader.fail("time.rate", f"found {rate:g}, expected a number of rows a second above 0")
+    return TimeAxis(rate=rate)
+
+
 def _absolute(name: object) -> str:
     """A valve's name, as its topics begin."""
     return "/" + str(name).strip("/")
@@ -205,7 +233,7 @@ class _MapReader(Entries):
             )
         self.check_keys("", found, [*CHANNELS, *_OTHER_KEYS], OF_ANOTHER)
         clock = self.choice("clock", found.get("clock", ""), ("", *CLOCKS))
-        time = self._time_axis(found["time"]) if "time" in found else None
+        time = time_axis(self, found["time"]) if "time" in found else None
         if "valves" in found:
             alone = [key for key in found if key in CHANNELS or key in ("valve", "sensor")]
             if alone:
@@ -308,19 +336,3 @@ class _MapReader(Entries):
             raise self.fail("", "names no time; add time: {column: ..., unit: s} or time: {rate: ...} (Hz)")
         if time is not None and not columns:
             raise self.fail("time", "is for tables; messages of a bag have their own: clock: header or clock: bag")
-
-    def _time_axis(self, found: object) -> TimeAxis:
-        if isinstance(found, str | int) and not isinstance(found, bool):
-            found = {"column": found}
-        entry = self.mapping("time", found, "{column: ..., unit: s} or {rate: ...}")
-        self.check_keys("time", entry, ["column", "unit", "rate"])
-        column = self.text("time.column", entry.get("column", ""))
-        unit = entry.get("unit", "s")
-        if unit not in UNITS["time"]:
-            raise self.fail("time.unit", f"found {unit!r}, expected one of {', '.join(UNITS['time'])}")
-        rate = self.number("time.rate", entry.get("rate", 0.0))
-        if bool(column) == ("rate" in entry):
-            raise self.fail("time", f"found {short(dict(entry))}, expected either column: or rate:")
-        if rate < 0.0 or ("rate" in entry and rate == 0.0):
-            raise self.fail("time.rate", f"found {rate:g}, expected a number of rows a second above 0")
-        return TimeAxis(column, str(unit), rate)

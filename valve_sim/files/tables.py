@@ -43,7 +43,7 @@ def read_table(path: Path | str, columns: Mapping[str, Sequence[str]], otherwise
     delimiter = next((mark for mark in _DELIMITERS if mark in lines[0][1]), None)
     rows = [(number, _cells(line, delimiter)) for number, line in lines]
     places = dict(zip(columns, range(len(columns)), strict=True))
-    if any(_number(cell) is None for cell in rows[0][1]):
+    if any(number_in(cell) is None for cell in rows[0][1]):
         places = _places(path, rows.pop(0)[1], columns, otherwise)
     values = [[_cell(path, number, cells, name, place) for name, place in places.items()] for number, cells in rows]
     if not values:
@@ -87,13 +87,14 @@ def _places(
 def _cell(path: Path | str, line: int, cells: Sequence[str], name: str, place: int) -> float:
     if place >= len(cells):
         raise TableError(f"{path}: line {line}: has {len(cells)} cells, expected {name} in cell {place + 1}")
-    value = _number(cells[place])
+    value = number_in(cells[place])
     if value is None or not math.isfinite(value):
         raise TableError(f"{path}: line {line}: {name}: found {cells[place]!r}, expected a finite number")
     return value
 
 
-def _number(cell: str) -> float | None:
+def number_in(cell: str) -> float | None:
+    """The number that a cell holds; None where it holds none."""
     try:
         return float(cell)
     except ValueError:

@@ -13,12 +13,13 @@ from valve_sim.model.errors import ValveError
 
 
 @contextmanager
-def atomic_write(path: Path, refusal: type[ValveError] = ValveError) -> Iterator[Path]:
+def atomic_write(path: Path, refusal: type[ValveError] = ValveError, *, durable: bool = False) -> Iterator[Path]:
     """Yield a temporary name to write to; on success, move the file to its own name. Creates its folder.
 
     Args:
         path: the file, replaced if it exists.
         refusal: the error that is raised.
+        durable: whether it is on the disk in the end, so that it is there after a power cut, too.
 
     Raises:
         ValveError: it cannot be written; of the type `refusal`.
@@ -30,6 +31,8 @@ def atomic_write(path: Path, refusal: type[ValveError] = ValveError) -> Iterator
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield partial
+        if durable:
+            _flush(partial)
         partial.replace(path)
         note_written(path)
     except OSError as error:
@@ -38,11 +41,24 @@ def atomic_write(path: Path, refusal: type[ValveError] = ValveError) -> Iterator
         # Without the folder there is nothing to remove, and the error above says why.
         with suppress(OSError):
             partial.unlink(missing_ok=True)
+    if durable:
+        try:
+            _flush(path.absolute().parent)
+        except OSError as error:
+            raise refusal(f"{path}: is written, but its folder cannot be flushed ({error.strerror})") from error
 
 
-def write_whole(path: Path, text: str, refusal: type[ValveError] = ValveError) -> None:
+def _flush(path: Path) -> None:
+    number = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(number)
+    finally:
+        os.close(number)
+
+
+def write_whole(path: Path, text: str, refusal: type[ValveError] = ValveError, *, durable: bool = False) -> None:
     """Write a text file in UTF-8; see `atomic_write`."""
-    with atomic_write(path, refusal) as partial:
+    with atomic_write(path, refusal, durable=durable) as partial:
         partial.write_text(text, encoding="utf-8")
 
 

@@ -2,32 +2,16 @@
 
 from __future__ import annotations
 
-import re
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Final
 from xml.etree.ElementTree import Element, SubElement
 
 from valve_sim.fmu.variables import Variable
+from valve_sim.model.core.own.units import UnitError, parse_unit
 
 _SUPERSCRIPTS: Final = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹", "0123456789")
-_BASES: Final[dict[str, dict[str, int]]] = {
-    "kg": {"kg": 1},
-    "m": {"m": 1},
-    "s": {"s": 1},
-    "A": {"A": 1},
-    "K": {"K": 1},
-    "Hz": {"s": -1},
-    "N": {"kg": 1, "m": 1, "s": -2},
-    "Pa": {"kg": 1, "m": -1, "s": -2},
-    "J": {"kg": 1, "m": 2, "s": -2},
-    "W": {"kg": 1, "m": 2, "s": -3},
-    "V": {"kg": 1, "m": 2, "s": -3, "A": -1},
-    "Ohm": {"kg": 1, "m": 2, "s": -3, "A": -2},
-    "Wb": {"kg": 1, "m": 2, "s": -2, "A": -1},
-    "H": {"kg": 1, "m": 2, "s": -2, "A": -2},
-}
-"""Units as powers of the base units of FMI."""
+_BASES: Final = ("m", "kg", "s", "A", "K")
+"""Base units of FMI, in the order of a `Dimension`."""
 _TIME: Final = ("time", "s")
 """The variable that FMI 3.0 has beside those of the valve, and its unit."""
 
@@ -38,28 +22,23 @@ def unit_name(unit: str) -> str:
     return "" if " or " in name else name
 
 
-def base_powers(name: str) -> dict[str, int] | None:
-    """Powers of the base units of a unit as FMI writes it, such as {"kg": 1, "s": -1}; None where it has others."""
-    powers: Counter[str] = Counter()
-    above, *below = name.split("/")
-    for sign, part in ((1, above), *((-1, part) for part in below)):
-        for factor in part.strip("()").split("."):
-            found = re.fullmatch(r"([A-Za-z]+)(\d*)", factor)
-            if factor == "1":
-                continue
-            if found is None or found[1] not in _BASES:
-                return None
-            for base, power in _BASES[found[1]].items():
-                powers[base] += sign * power * int(found[2] or 1)
-    return {base: power for base, power in powers.items() if power}
+def base_powers(unit: str) -> dict[str, int] | None:
+    """Powers of the base units of a unit of the model, such as {"kg": 1, "s": -1}; None where it is no unit."""
+    try:
+        dimension = parse_unit(unit).dimension
+    except UnitError:
+        return None
+    return {base: round(power) for base, power in zip(_BASES, dimension, strict=True) if power}
 
 
 def unit_definitions(variables: Sequence[Variable]) -> Element:
     """The element UnitDefinitions of both versions, with each unit once."""
     definitions = Element("UnitDefinitions")
-    for name in sorted({_TIME[1], *(unit_name(entry.unit) for entry in variables)} - {""}):
+    for name, own in sorted({unit_name(own): own for own in (_TIME[1], *(entry.unit for entry in variables))}.items()):
+        if not name:
+            continue
         unit = SubElement(definitions, "Unit", {"name": name})
-        powers = base_powers(name)
+        powers = base_powers(own)
         if powers is not None:
             SubElement(unit, "BaseUnit", {base: str(power) for base, power in powers.items()})
     return definitions

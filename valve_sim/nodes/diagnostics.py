@@ -46,8 +46,8 @@ def timing_status(timing: Timing, rate_wanted: float, waiting_for: str) -> Statu
     """Whether the node keeps pace with its clock; `waiting_for`: what it cannot step without, or empty."""
     values = {
         "rate wanted (Hz)": f"{rate_wanted:g}",
-        "rate reached (Hz)": _number(timing.rate, ".1f"),
-        "lateness p99 (ms)": _number(timing.lateness * 1e3, ".3f"),
+        "rate reached (Hz)": number_words(timing.rate, ".1f"),
+        "lateness p99 (ms)": number_words(timing.lateness * 1e3, ".3f"),
         "overruns": str(timing.overruns),
         "overruns in the last second": str(timing.overruns_now),
         "lost steps": str(timing.lost),
@@ -111,7 +111,7 @@ def command_status(live: LiveValve, now: int, count: RejectionCount, incompatibl
     """
     age = math.nan if live.last_command is None else (now - live.last_command) / NANOSECONDS
     values = {
-        "age (s)": _number(age, ".3f"),
+        "age (s)": number_words(age, ".3f"),
         "voltage (V)": f"{live.volts:g}",
         "rejected": str(count.rejected),
         "timed out": str(live.timed_out).lower(),
@@ -168,7 +168,8 @@ def unheard_words(publishers: int) -> str:
     return f"publishers that offer an incompatible QoS and cannot be heard: {publishers}; publish reliable"
 
 
-def _number(value: float, form: str) -> str:
+def number_words(value: float, form: str) -> str:
+    """A number in a format, or "none" for NaN."""
     return "none" if math.isnan(value) else format(value, form)
 
 

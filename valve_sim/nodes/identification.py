@@ -21,14 +21,12 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.task import Future
 from std_msgs.msg import Float64, String
-from std_srvs.srv import Trigger
 
 from valve_sim.files.parameter_files import default_valve, load_valve, read_tolerances
 from valve_sim.files.parameter_sections import Section, write_sections
 from valve_sim.identification.estimation.intervals import Interval
-from valve_sim.model import CATALOGUE, DECLARED, ParameterError, Valve
-from valve_sim.model.gas import GAS
-from valve_sim.nodes import settings, topics
+from valve_sim.model import ParameterError, Valve
+from valve_sim.nodes import topics
 from valve_sim.nodes.diagnostics import Status
 from valve_sim.nodes.identification_work import (
     BEFORE_FILE,
@@ -48,9 +46,9 @@ from valve_sim.nodes.identification_work import (
     report_text,
 )
 from valve_sim.nodes.messages import ReadingMessages
-from valve_sim.nodes.settings import IdentificationSettings, identification_settings
-from valve_sim.nodes.valve_parameters import TOLERANCES, valve_table
-from valve_sim.nodes.wiring import Interface, RosNode, declared, full_name
+from valve_sim.nodes.settings import IdentificationSettings
+from valve_sim.nodes.valve_parameters import TOLERANCES, unit_of, valve_table
+from valve_sim.nodes.wiring import RosNode, full_name
 
 _DELIVERY: Final = Duration(seconds=2)
 """s that the node waits at its end until subscribers have the result."""
@@ -67,25 +65,19 @@ Values = dict[str, Any]
 """Flat parameter name to value."""
 
 
-class IdentificationNode(RosNode):
+class IdentificationNode(RosNode[IdentificationSettings]):
     """The node `identification`, with the topics and services `topics.IDENTIFICATION`.
 
-    The prediction is by the declared valve until the refitted one is known. Parameters: `settings.IDENTIFICATION`; they
-    are read once, at the start. It ends when the recording has been played and the result is known, but for `loop` and
-    `linger`.
-
-    Args:
-        sections: (file, section) of the parameter files on the command line.
+    The prediction is by the declared valve until the refitted one is known. Parameters:
+    `settings.IdentificationSettings`; they are read once, at the start. It ends when the recording has been played and
+    the result is known, but for `loop` and `linger`.
 
     Raises:
         ValveError: a parameter, the recording or the parameter file cannot be used.
     """
 
     def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
-        super().__init__("identification")
-        self._settings: IdentificationSettings = declared(
-            self._node, sections, settings.IDENTIFICATION, identification_settings
-        )
+        super().__init__("identification", sections, IdentificationSettings, topics.IDENTIFICATION)
         self._folder = _output_folder(self._settings)
         given = self._settings.apply_to
         target = full_name(self._node, given, "apply_to") if given else ""
@@ -112,7 +104,7 @@ class IdentificationNode(RosNode):
     # --- wiring ---
 
     def _wire(self) -> None:
-        interface = Interface(self._node, topics.IDENTIFICATION)
+        interface = self._interface
         self._voltage = interface.publisher("~/coil_voltage")
         self._measured = interface.publisher("~/measured/joint_states")
         self._measured_coil = interface.publisher("~/measured/coil")
@@ -121,7 +113,7 @@ class IdentificationNode(RosNode):
         self._residual = interface.publisher("~/residual")
         self._result = interface.publisher("~/result")
         self._messages = ReadingMessages("")
-        self._publish_diagnostics(interface, self._statuses)
+        self._publish_diagnostics(self._statuses)
         # A callback group of its own: while it waits for the valve, the reply needs the other group.
         interface.serve("~/undo", self._undo, MutuallyExclusiveCallbackGroup())
 
@@ -225,7 +217,7 @@ class IdentificationNode(RosNode):
 
     # --- callbacks, in the main thread ---
 
-    async def _undo(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    async def _undo(self) -> Any:
         """Set the valve's former values; a thread waits for the reply, which this one must be free to receive."""
         taken_back: Future = Future()
 
@@ -235,8 +227,7 @@ class IdentificationNode(RosNode):
                 self._node.executor.wake()
 
         threading.Thread(target=take_back, name="undo", daemon=True).start()
-        response.success, response.message = await taken_back
-        return response
+        return await taken_back
 
     def _take_back(self) -> tuple[bool, str]:
         if self._remote is None or not self._before:
@@ -357,7 +348,7 @@ def changes_between(old: Mapping[str, Any], new: Mapping[str, Any], intervals: M
     before, after = _with_each_tolerance(old), _with_each_tolerance(new)
     pairs = {name: (before.get(name, _EXACT), after.get(name, _EXACT)) for name in {**after, **before}}
     return [
-        Change(name, was, becomes, _interval_of(name, intervals), _unit(name))
+        Change(name, was, becomes, _interval_of(name, intervals), unit_of(name))
         for name, (was, becomes) in pairs.items()
         if was != becomes
     ]
@@ -381,18 +372,6 @@ def _interval_of(name: str, intervals: Mapping[str, Interval]) -> tuple[float, f
     root, _, rest = name.partition(".")
     found = None if root == "tolerances" else intervals.get(name if root == "gas" else rest)
     return None if found is None else (found.low, found.high)
-
-
-def _unit(name: str) -> str:
-    root, _, rest = name.partition(".")
-    if root == "tolerances":
-        return _unit(rest if rest.startswith(("effects.", "gas.")) else f"valve.{rest}")
-    if root == "gas":
-        return GAS[rest].unit if rest in GAS else ""
-    if root == "valve":
-        return DECLARED[rest].unit if rest in DECLARED else ""
-    effect, _, parameter = rest.partition(".")
-    return next((rule.unit for rule in CATALOGUE[effect].parameters if rule.name == parameter), "")
 
 
 def _digits(value: float, width: float) -> int:

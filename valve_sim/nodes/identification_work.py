@@ -28,8 +28,15 @@ from valve_sim.identification.reporting.identification import identification_jso
 from valve_sim.identification.reporting.units import measured
 from valve_sim.model import Phase, Reading, Response, Valve
 from valve_sim.model.errors import ValveError
-from valve_sim.nodes.diagnostics import Level, Status
-from valve_sim.nodes.realtime import LISTENERS_SECONDS, NANOSECONDS, ClockReading, PaceClock, TimingRecord, why_restart
+from valve_sim.nodes.diagnostics import Level, Status, number_words
+from valve_sim.nodes.realtime import (
+    LISTENERS_SECONDS,
+    NANOSECONDS,
+    ClockJumpedError,
+    PaceClock,
+    TimingRecord,
+    when_due,
+)
 from valve_sim.nodes.settings import IdentificationSettings
 from valve_sim.nodes.threads import StoppableThread
 from valve_sim.traces import Trace, another_valve, left_out_finding, read_trace, refuse_doubtful_units
@@ -202,42 +209,19 @@ class Replay(StoppableThread):
 
     def _play(self) -> bool:
         """Replay once; False if broken off because the clock jumped or the thread is to end."""
-        last, start, self.played = None, 0, 0
-        while self.played < self.samples:
-            reading = self._clock.read()
-            if self.is_stopping:
-                return False
-            if reading is None:
-                self._clock.sleep_until(0)
-                continue
-            if last is None:
-                start = reading.nanoseconds
-            elif why_restart(last, reading):
-                return False
-            last = reading
-            due = int(np.searchsorted(self._timeline.offsets, reading.nanoseconds - start, side="right"))
-            self._hand_out(due, start, reading)
-            if self.played < self.samples:
-                self._clock.sleep_until(start + int(self._timeline.offsets[self.played]))
-        return True
-
-    def _hand_out(self, until: int, start: int, reading: ClockReading) -> None:
-        """Hand out what is due; by simulated time, which moves by ticks, it is late by what the clock went on since."""
-        for index in range(self.played, until):
-            if self.is_stopping:
-                return
-            place = int(self._timeline.places[index])
-            if place < 0:
-                self._player.command(-1 - place)
-            else:
-                now = self._clock.read()
-                if now is not None:
-                    due = start + int(self._timeline.offsets[index])
-                    self.timing.note(
-                        now.nanoseconds - (reading.nanoseconds if reading.is_simulated else due), self._period
-                    )
-                self._player.sample(place)
-            self.played = index + 1
+        self.played = 0
+        try:
+            for index, late in when_due(self._clock, self._timeline.offsets.tolist(), lambda: self.is_stopping):
+                place = int(self._timeline.places[index])
+                if place < 0:
+                    self._player.command(-1 - place)
+                else:
+                    self.timing.note(late, self._period)
+                    self._player.sample(place)
+                self.played = index + 1
+        except ClockJumpedError:
+            return False
+        return self.played == self.samples
 
 
 def replay_status(replay: Replay, now: int, model: str) -> Status:
@@ -249,12 +233,12 @@ def replay_status(replay: Replay, now: int, model: str) -> Status:
         "passes": str(replay.passes),
         "played": f"{replay.played} of {replay.samples}",
         "rate wanted (Hz)": f"{wanted:g}" if wanted > 0.0 else "as fast as possible",
-        "rate reached (Hz)": "none" if math.isnan(timing.rate) else f"{timing.rate:.1f}",
+        "rate reached (Hz)": number_words(timing.rate, ".1f"),
     }
     if replay.is_done:
         return Status("replay", Level.OK, "done", values)
     if wanted > 0.0:
-        values["lateness p99 (ms)"] = "none" if math.isnan(timing.lateness) else f"{1e3 * timing.lateness:.3f}"
+        values["lateness p99 (ms)"] = number_words(1e3 * timing.lateness, ".3f")
         if timing.lateness > LATE_SECONDS:
             message = f"samples are published up to {timing.lateness:.3f} s late; ask for a lower rate"
             return Status("replay", Level.WARN, message, values)

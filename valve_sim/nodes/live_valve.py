@@ -97,7 +97,7 @@ class Step(NamedTuple):
 class LiveValve:
     """A stepper with its clock, its command and its watchdog; which command holds: docs/reference/command_safety.md.
 
-    `command`, `supply`, `set_demand_pressure`, `limit`, `set_valve`, `set_scale`, `reset` may be called in any thread:
+    `command`, `set_pressure`, `limit`, `set_valve`, `set_scale`, `reset` may be called in any thread:
     they store, the next `step` consumes, each at its own time. `restart` and `step` belong to one stepping thread.
 
     Args:
@@ -149,32 +149,20 @@ class LiveValve:
         self._requests.post(clock, "command", self._energise, volts, voids=("limit",))
         return True
 
-    @property
-    def inlet_pressure(self) -> float:
-        """The tank's pressure, Pa, as it was heard last, or else as declared; NaN for a valve without gas."""
-        return self._in_force("inlet_pressure")
+    def pressure(self, name: str) -> float:
+        """A pressure in force, Pa, as it was heard last, or else as declared; NaN for a valve without gas.
 
-    @property
-    def demand_pressure(self) -> float:
-        """The pressure behind the demand's orifice, Pa, likewise."""
-        return self._in_force("demand_pressure")
-
-    def _in_force(self, name: str) -> float:
+        Args:
+            name: inlet_pressure, of the tank, or demand_pressure, behind the demand's orifice.
+        """
         gas = self._valve.gas
         return math.nan if gas is None else self._heard.get(name, getattr(gas, name))
 
-    def supply(self, clock: int, pressure: float) -> bool:
-        """The tank's pressure, Pa, from clock time `clock` on, ns; False, and nothing else, if no tank can have it.
+    def set_pressure(self, name: str, clock: int, pressure: float) -> bool:
+        """A pressure, Pa, from clock time `clock` on, ns; False, and nothing else, if it is out of range.
 
         It stays through a reset, until another is heard or declared. A valve without gas has no use for it.
         """
-        return self._request_pressure("inlet_pressure", clock, pressure)
-
-    def set_demand_pressure(self, clock: int, pressure: float) -> bool:
-        """The pressure behind the demand's orifice, Pa, likewise."""
-        return self._request_pressure("demand_pressure", clock, pressure)
-
-    def _request_pressure(self, name: str, clock: int, pressure: float) -> bool:
         if not GAS[name].lower <= pressure <= GAS[name].upper:
             return False
         self._requests.post(clock, name, partial(self._apply_pressure, name), pressure)

@@ -24,7 +24,7 @@ from valve_sim.nodes.diagnostics import Status
 from valve_sim.nodes.realtime import LAST_STAMP, NANOSECONDS
 
 if TYPE_CHECKING:
-    from valve_sim.traces.batches import Field, Layout
+    from valve_sim.traces.cdr import Field, Layout
 
 JOINT_NAMES: Final = ("pilot_plunger", "main_plunger")
 _STAMP_MARKS: Final = (1_234_567_891, 123_456_789)
@@ -246,7 +246,7 @@ def pressures() -> EncodedReader:
 
 
 def _position(layout: Layout) -> Sequence[Field]:
-    from valve_sim.traces.batches import Field
+    from valve_sim.traces.cdr import Field
 
     names, positions = layout.texts["name"], layout.fields["position"]
     if JOINT_NAMES[0] not in names:

@@ -8,7 +8,6 @@ for neither.
 from __future__ import annotations
 
 import contextlib
-import gc
 import json
 import math
 from collections.abc import Sequence
@@ -17,7 +16,6 @@ from pathlib import Path
 from typing import Final
 
 from std_msgs.msg import Float64, String
-from std_srvs.srv import Trigger
 
 from valve_sim.files.parameter_sections import Section
 from valve_sim.identification.monitoring.findings import Occasion, Prediction, StrokeRecord
@@ -27,11 +25,11 @@ from valve_sim.identification.monitoring.segmenter import StrokeSegmenter
 from valve_sim.identification.monitoring.stroke_monitor import StrokeMonitor, StrokeReport
 from valve_sim.identification.reporting.monitoring import stroke_json
 from valve_sim.identification.reporting.monitoring_words import told_finding
-from valve_sim.model import ParameterError, Stepper
+from valve_sim.model import ParameterError
 from valve_sim.nodes import topics
 from valve_sim.nodes.diagnostics import Level, Status
 from valve_sim.nodes.live_map import live_inputs
-from valve_sim.nodes.messages import ReadingMessages, diagnostic_array
+from valve_sim.nodes.messages import ReadingMessages
 from valve_sim.nodes.monitor_inputs import MonitorInputs, Takers
 from valve_sim.nodes.monitor_work import (
     FaultIsolation,
@@ -45,13 +43,11 @@ from valve_sim.nodes.monitor_work import (
     model_status,
     stroke_status,
 )
-from valve_sim.nodes.parameters import settings_of
 from valve_sim.nodes.realtime import LONGEST_LEAP_SECONDS, NANOSECONDS, SubscriberCounts
-from valve_sim.nodes.settings import MONITORS_FORMER_NAMES, MonitorNodeSettings, monitor_table, monitor_values
-from valve_sim.nodes.spinning import guarded
-from valve_sim.nodes.threads import Repeating
+from valve_sim.nodes.settings import MonitorNodeSettings
+from valve_sim.nodes.threads import Repeating, load_stepper
 from valve_sim.nodes.valve_parameters import valve_of
-from valve_sim.nodes.wiring import Interface, RosNode, declared, full_name
+from valve_sim.nodes.wiring import RosNode, full_name
 from valve_sim.traces import Trace
 from valve_sim.traces.trouble import MOST_STROKES
 
@@ -64,16 +60,14 @@ _JUMP_SECONDS: Final = 1.0
 """A stamp that goes back by more means a clock that was set or a bag that restarted, not a sample out of order."""
 
 
-class MonitorNode(RosNode):
+class MonitorNode(RosNode[MonitorNodeSettings]):
     """The node `monitor`, with the topics and services `topics.MONITOR`.
 
     It hears the commands of a valve and the measured positions beside them; a current, where one comes, tells a change
     of the coil from one of the magnetic circuit. Where no position comes, or `measured` is that of the coil, the valve
     is watched by its current alone. Of a valve with gas it also hears the pressures around it; without them, the
-    model's own and the declared ones count. Parameters: `settings.monitor_table`; they are read once, at the start.
-
-    Args:
-        sections: (file, section) of the parameter files on the command line.
+    model's own and the declared ones count. Parameters: `settings.MonitorNodeSettings`; they are read once, at the
+    start.
 
     Raises:
         ValveError: a parameter is unknown, of the wrong type or out of range, or the state file or the calibration
@@ -81,10 +75,8 @@ class MonitorNode(RosNode):
     """
 
     def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
-        super().__init__("monitor")
-        values = declared(self._node, sections, monitor_table(), monitor_values, MONITORS_FORMER_NAMES)
-        self._settings = settings_of(MonitorNodeSettings, values)
-        self._declared = valve_of(values, self._node.get_fully_qualified_name())
+        super().__init__("monitor", sections, MonitorNodeSettings, topics.MONITOR)
+        self._declared = valve_of(self._initial_values, self._node.get_fully_qualified_name())
         settings, valve = self._settings.monitor, self._declared
         self._valve = full_name(self._node, self._settings.valve_node, "valve_node")
         measured = full_name(self._node, f"{self._valve}/{self._settings.measured}", "measured")
@@ -131,7 +123,7 @@ class MonitorNode(RosNode):
     # --- wiring ---
 
     def _wire(self) -> None:
-        interface = Interface(self._node, topics.MONITOR)
+        interface = self._interface
         self._predicted = interface.publisher("~/predicted/joint_states")
         self._residual = interface.publisher("~/residual")
         self._subscribers = SubscriberCounts(
@@ -141,8 +133,8 @@ class MonitorNode(RosNode):
         self._stroke_report = interface.publisher("~/stroke_report")
         self._finding = interface.publisher("~/finding")
         self._messages = ReadingMessages(self._settings.frame_id)
-        interface.serve("~/recommission", guarded(self._recommission))
-        self._publish_diagnostics(interface, self._statuses)
+        interface.serve("~/recommission", self._recommission)
+        self._publish_diagnostics(self._statuses)
 
     # --- what is heard, in the thread that empties the inbox ---
 
@@ -242,11 +234,9 @@ class MonitorNode(RosNode):
             self._epoch = stamp
         return (stamp - self._epoch) / NANOSECONDS
 
-    def _recommission(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _recommission(self) -> tuple[bool, str]:
         self._monitor_thread.recommission()
-        response.success = True
-        response.message = f"the next {self._settings.commissioning_strokes} strokes are taken as the new baseline"
-        return response
+        return True, f"the next {self._settings.commissioning_strokes} strokes are taken as the new baseline"
 
     def _statuses(self) -> Sequence[Status]:
         waiting_for = "" if self._is_ready else "the model to be compiled"
@@ -270,10 +260,7 @@ class MonitorNode(RosNode):
 
     def _prepare(self) -> None:
         """Load or compile the model before the first sample is processed."""
-        stepper = Stepper(self._segmenter.valve)
-        stepper.command(1e-3, self._segmenter.valve.parameters.reference_voltage)
-        stepper.advance(20e-3)
-        gc.freeze()
+        load_stepper(self._segmenter.valve)
         self._is_ready = True
         self._node.get_logger().info(
             f"ready: hears {self._inputs.voltage} and {self._inputs.measured}, reports each stroke on "
@@ -283,8 +270,7 @@ class MonitorNode(RosNode):
     def _report(self, report: StrokeReport) -> None:
         self._last_report = report
         self._stroke_report.publish(String(data=json.dumps(stroke_json(report, self._valve), ensure_ascii=False)))
-        name = self._node.get_fully_qualified_name()
-        self._stroke_diagnostics.publish(diagnostic_array([stroke_status(report)], name, report.record.stamp))
+        self._stroke_diagnostics.publish(self._diagnostics([stroke_status(report)], report.record.stamp))
         self._keep()
         if change := self._health.look(report, self._stroke_monitor):
             self._log(*change)
@@ -323,7 +309,6 @@ class MonitorNode(RosNode):
 
     def _tell(self, found: Found, is_new: bool) -> None:
         """Say a finding on the topic and in the log, as /diagnostics has it; what was said is not logged again."""
-        name = self._node.get_fully_qualified_name()
-        self._finding.publish(diagnostic_array([finding_status(found)], name, found.occasion.stamp))
+        self._finding.publish(self._diagnostics([finding_status(found)], found.occasion.stamp))
         if is_new:
             self._node.get_logger().warning(told_finding(*found))

@@ -107,7 +107,7 @@ class MonitorInputs:
             return interface.receive(self.inbox, name, on_pressure, raw=True, **places)
 
         receive("{sensors}/outlet_pressure", self._take.pressure)
-        for end in ("inlet_pressure", "demand_pressure"):
+        for end in topics.ENDS:
             take_end = partial(self._take.end_pressure, end)
             told = receive("{valve}/{end}", take_end, end=end)
             known = "{valve}/obeyed/{end}" if is_simulated else "{sensors}/{end}"

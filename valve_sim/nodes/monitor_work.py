@@ -27,7 +27,7 @@ from valve_sim.identification.reporting.monitoring_words import (
     told_finding,
 )
 from valve_sim.model.errors import ValveError
-from valve_sim.nodes.diagnostics import Level, Status, unheard_words
+from valve_sim.nodes.diagnostics import Level, Status, number_words, unheard_words
 from valve_sim.nodes.threads import Fail, StoppableThread
 from valve_sim.traces import Trace
 
@@ -224,9 +224,9 @@ def health_status(
         "strokes": "0" if last is None else str(last.record.number + 1),
         "alarms": str(monitor.alarms),
         "state": state_words(_state(monitor)),
-        "scatter of commands (ms)": _number(1e3 * monitor.command_scatter),
+        "scatter of commands (ms)": number_words(1e3 * monitor.command_scatter, ".3f"),
         "highest sum": "none" if last is None or math.isnan(last.sum) else f"{last.sum:.2f} ({last.cause})",
-        "threshold": "none" if last is None or math.isnan(last.threshold) else f"{last.threshold:.2f}",
+        "threshold": "none" if last is None else number_words(last.threshold, ".2f"),
         **({"residual (µm)": "none"} if last is None else _texts(_errors(last, "residual"))),
         "cause": cause,
     }
@@ -348,11 +348,7 @@ def _scale(has_positions: bool) -> float:
 
 
 def _texts(values: Mapping[str, float]) -> dict[str, str]:
-    return {name: _number(value) for name, value in values.items()}
-
-
-def _number(value: float) -> str:
-    return "none" if math.isnan(value) else f"{value:.3f}"
+    return {name: number_words(value, ".3f") for name, value in values.items()}
 
 
 class HealthLog:
@@ -426,7 +422,7 @@ class InputCount:
         values = {
             "samples": str(self.samples),
             "commands": str(self.commands),
-            "rate (Hz)": "none" if math.isnan(rate) else f"{rate:.1f}",
+            "rate (Hz)": number_words(rate, ".1f"),
             "rejected": str(self.rejected),
             "strokes not judged": str(lost),
         }

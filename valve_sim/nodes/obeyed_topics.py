@@ -82,19 +82,15 @@ class GasTopics:
         self._live, self._messages = live, messages
         interface = Interface(node, topics.GAS)
 
-        def obeyed(name: str, obey: Callable[[int, float], bool]) -> ObeyedTopic:
+        def obeyed(name: str) -> ObeyedTopic:
             receive, rule = partial(interface.receive, inbox, f"~/{name}"), GAS[name]
-            expected = f"a number from {rule.lower:g} to {rule.upper:g} Pa"
+            expected, obey = f"a number from {rule.lower:g} to {rule.upper:g} Pa", partial(live.set_pressure, name)
             return ObeyedTopic(node, clock, receive, "fluid_pressure", "Pa", obey, lambda: expected, "pressure")
 
-        self._inlet = obeyed("inlet_pressure", live.supply)
-        self._demand = obeyed("demand_pressure", live.set_demand_pressure)
+        self._heard = {name: obeyed(name) for name in topics.ENDS}
         self._outlet_pressure = interface.publisher("~/outlet_pressure")
         self._mass_flow = interface.publisher("~/mass_flow")
-        self._obeyed = {
-            "inlet_pressure": interface.publisher("~/obeyed/inlet_pressure"),
-            "demand_pressure": interface.publisher("~/obeyed/demand_pressure"),
-        }
+        self._obeyed = {name: interface.publisher(f"~/obeyed/{name}") for name in topics.ENDS}
         self._subscribers = SubscriberCounts(
             self._outlet_pressure.get_subscription_count, self._mass_flow.get_subscription_count
         )
@@ -102,9 +98,10 @@ class GasTopics:
 
     def words(self) -> str:
         """What is obeyed and published, with full names."""
+        obeyed = " and ".join(heard.source.topic for heard in self._heard.values())
         return (
-            f"gas: obeys {self._inlet.source.topic} and {self._demand.source.topic} (Pa), publishes "
-            f"{self._outlet_pressure.topic_name} and {self._mass_flow.topic_name} at {_RATE:g} Hz"
+            f"gas: obeys {obeyed} (Pa), publishes {self._outlet_pressure.topic_name} and "
+            f"{self._mass_flow.topic_name} at {_RATE:g} Hz"
         )
 
     def publish(self, deadline: int, step: Step) -> None:
@@ -124,11 +121,8 @@ class GasTopics:
 
     def statuses(self) -> Iterator[Status]:
         """For /diagnostics; none while the valve has no gas."""
-        live = self._live
-        if live.valve.gas is None:
+        if self._live.valve.gas is None:
             return
-        for task, heard, pressure in (
-            ("inlet pressure", self._inlet, live.inlet_pressure),
-            ("demand pressure", self._demand, live.demand_pressure),
-        ):
+        for name, heard in self._heard.items():
+            task, pressure = name.replace("_", " "), self._live.pressure(name)
             yield pressure_status(task, pressure, heard.count, heard.source.incompatible_publishers)

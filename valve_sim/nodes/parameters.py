@@ -1,14 +1,15 @@
-"""The one mechanism of the nodes' parameters, without ROS: a table's rows declare, check, describe and document them.
+"""The one mechanism of the nodes' parameters, without ROS: settings declare, check, describe and document themselves.
 
-A node's table is made of its settings, a named tuple of types and defaults, and of one row for each that says its unit,
-range and meaning. That of valve_node is in `valve_parameters`, those of the others in `settings` and in the station.
+A node's settings are a dataclass whose fields are made by `option`: the default, the meaning, the unit and the range
+stand together. Its table of parameters follows from that. valve_node and monitor_node have a valve in theirs, too.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any, Final, NamedTuple, Protocol, TypeVar
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any, ClassVar, Final, NamedTuple, TypeVar
 
 from valve_sim.files.parameter_files import check_with_off, off_value
 from valve_sim.files.parameter_sections import Section
@@ -21,20 +22,6 @@ Value = Any
 ROS_OWN: Final = ("use_sim_time", "start_type_description_service")
 ROS_OWN_PREFIX: Final = "qos_overrides."
 _TYPES: Final = {bool: "bool", int: "integer", float: "double", str: "string"}
-
-
-class Words(NamedTuple):
-    """The row of a parameter that is no number.
-
-    Attributes:
-        name, description: its own. choices: all that it may be; empty for any.
-        read_only: whether it is read once though others of its table can be set.
-    """
-
-    name: str
-    description: str
-    choices: tuple[str, ...] = ()
-    read_only: bool = False
 
 
 class NodeParameter(NamedTuple):
@@ -136,42 +123,78 @@ class NodeParameter(NamedTuple):
         return names
 
 
-class _Settings(Protocol):
-    """A named tuple of parameters, each with a default."""
-
-    _field_defaults: dict[str, Any]
-
-
 Table = Mapping[str, NodeParameter]
-S = TypeVar("S")
+S = TypeVar("S", bound="NodeSettings")
 
 
-def table_of(settings: type[_Settings], *rows: Parameter | Words, read_only: bool = True) -> dict[str, NodeParameter]:
-    """The table of a node's settings: each has one row.
+def option(
+    default: Value, meaning: str, unit: str = "", lower: float = -math.inf, upper: float = math.inf, *,
+    choices: tuple[str, ...] = (), read_only: bool = True,
+) -> Any:  # fmt: skip
+    """One field of a node's settings: a parameter.
 
     Args:
-        settings: names, types and defaults. rows: units, ranges and meanings. read_only: whether all are read once.
+        default: gives the type, too; a tuple of numbers or of texts for a list.
+        meaning: in words. unit, lower, upper: of a number, or of each in a list.
+        choices: all that a text may be; empty for any. read_only: whether it is read once, at the start.
     """
-    words = {row.name: row for row in rows}
-    table = {}
-    for name, default in settings._field_defaults.items():
-        row = words.pop(name)
-        value = list(default) if isinstance(default, tuple) else default
-        if isinstance(row, Words):
-            is_fixed = read_only or row.read_only
-            table[name] = NodeParameter(name, value, row.description, choices=row.choices, read_only=is_fixed)
-        else:
-            table[name] = NodeParameter(name, value, row.description, row.unit, row, read_only=read_only)
-    if words:
-        raise ValueError(f"rows without a setting: {', '.join(words)}")
-    return table
+    return field(default=default, metadata={"row": (meaning, unit, lower, upper, choices, read_only)})
 
 
-def settings_of(settings: type[S], values: Mapping[str, Value]) -> S:
-    """The settings among a node's values, lists as tuples."""
-    names: Sequence[str] = settings._fields  # type: ignore[attr-defined]
-    found = {name: values[name] for name in names}
-    return settings(**{name: tuple(value) if isinstance(value, list) else value for name, value in found.items()})
+@dataclass(frozen=True)
+class NodeSettings:
+    """What the settings of all nodes have in common. Lists are tuples here.
+
+    Attributes:
+        program: the node's, for messages.
+    """
+
+    program: ClassVar[str]
+
+    @classmethod
+    def rows(cls) -> dict[str, NodeParameter]:
+        """A table of the settings alone."""
+        return {entry.name: _row_of(entry.name, entry.default, *entry.metadata["row"]) for entry in fields(cls)}
+
+    @classmethod
+    def table(cls) -> dict[str, NodeParameter]:
+        """Every parameter of the node, by name."""
+        return cls.rows()
+
+    @classmethod
+    def values(cls, given: Mapping[str, object], sources: Mapping[str, str]) -> dict[str, Value]:
+        """The values at the start, of the whole table; arguments and errors as of `check_given`."""
+        return asdict(cls.read(given, sources))
+
+    @classmethod
+    def read(cls: type[S], given: Mapping[str, object], sources: Mapping[str, str]) -> S:
+        """The settings at the start; arguments and errors as of `check_given`."""
+        return cls.of(check_given(given, cls.table(), sources, cls.program)).completed()
+
+    @classmethod
+    def of(cls: type[S], values: Mapping[str, Value]) -> S:
+        """The settings among a node's values."""
+        found = {entry.name: values[entry.name] for entry in fields(cls)}
+        return cls(**{name: tuple(value) if isinstance(value, list) else value for name, value in found.items()})
+
+    def completed(self: S) -> S:
+        """These settings, of which each is in its range, with what follows from others.
+
+        Raises:
+            ParameterError: they do not fit each other.
+        """
+        return self
+
+
+def _row_of(
+    name: str, default: Value, meaning: str, unit: str, lower: float, upper: float, choices: tuple[str, ...],
+    read_only: bool,
+) -> NodeParameter:  # fmt: skip
+    value = list(default) if isinstance(default, tuple) else default
+    one = value[0] if isinstance(value, list) else value
+    is_number = isinstance(one, int | float) and not isinstance(one, bool)
+    rule = Parameter(name, unit, meaning, lower, upper) if is_number else None
+    return NodeParameter(name, value, meaning, unit, rule, choices, read_only)
 
 
 def check_given(

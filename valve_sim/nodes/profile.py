@@ -18,18 +18,16 @@ from valve_sim.files.whole_files import write_whole
 from valve_sim.model import ValveError
 from valve_sim.nodes import topics
 from valve_sim.nodes.profile_playing import (
-    PROFILE,
     Commanded,
     ProfileBrokenOffError,
     ProfileSettings,
     as_csv,
     checked_profile,
     play,
-    profile_settings,
 )
 from valve_sim.nodes.realtime import LISTENERS_SECONDS, NANOSECONDS
 from valve_sim.nodes.spinning import every, wait_until_heard
-from valve_sim.nodes.wiring import CommandingNode, Interface, declared, full_name
+from valve_sim.nodes.wiring import CommandingNode, full_name
 
 _LOOK_SECONDS: Final = 0.05
 _UNKNOWN_NODE: Final = "_NODE_NAME_UNKNOWN_"
@@ -38,27 +36,22 @@ _NAMELESS: Final = "a node without a name so far"
 _PROGRESS_SECONDS: Final = 5.0
 
 
-class ProfileNode(CommandingNode):
+class ProfileNode(CommandingNode[ProfileSettings]):
     """The node `command_profile`, with the topics `topics.PROFILE`.
 
-    Parameters: `profile_playing.PROFILE`; they are read once, at the start.
-
-    Args:
-        sections: (file, section) of the parameter files on the command line.
+    Parameters: `profile_playing.ProfileSettings`; they are read once, at the start.
 
     Raises:
         ValveError: a parameter or the profile cannot be used; nothing has been commanded then.
     """
 
     def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
-        super().__init__("command_profile")
-        self._settings: ProfileSettings = declared(self._node, sections, PROFILE, profile_settings)
+        super().__init__("command_profile", sections, ProfileSettings, topics.PROFILE)
         self._drive = checked_profile(self._settings)
         self._valve = full_name(self._node, self._settings.valve, "valve")
-        interface = Interface(self._node, topics.PROFILE, valve=self._valve)
-        self._voltage = interface.publisher("{valve}/coil_voltage")
+        self._voltage = self._interface.publisher("{valve}/coil_voltage", valve=self._valve)
         # A recorder that discovers the topic late still gets the log from its beginning.
-        self._log = interface.publisher("~/commanded", depth=len(self._drive.times) + 1)
+        self._log = self._interface.publisher("~/commanded", depth=len(self._drive.times) + 1)
         self._is_watching = False
         every(self._node, _LOOK_SECONDS, self._look)
         self._commanded: list[Commanded] = []

@@ -2,49 +2,40 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
-from valve_sim.model import Drive, Parameter, ParameterError, ValveError
-from valve_sim.nodes.parameters import Words, check_given, settings_of, table_of
-from valve_sim.nodes.realtime import NANOSECONDS, PaceClock, why_restart
+from valve_sim.model import Drive, ParameterError, ValveError
+from valve_sim.nodes.parameters import NodeSettings, option
+from valve_sim.nodes.realtime import NANOSECONDS, ClockJumpedError, PaceClock, when_due
 from valve_sim.traces.synthetic import read_profile
 
 
-class ProfileSettings(NamedTuple):
-    """Of command_profile; the table says what each means."""
+@dataclass(frozen=True)
+class ProfileSettings(NodeSettings):
+    """Of command_profile."""
 
-    profile: str = ""
-    valve: str = "valve"
-    max_voltage: float = 30.0
-    patience: float = 10.0
-    output: str = "commanded.csv"
+    program = "command_profile"
 
-
-PROFILE: Final = table_of(
-    ProfileSettings,
-    Words(
-        "profile",
+    profile: str = option(
+        "",
         "what to command: rows of time in s and volts, as for `valve-sim simulate --profile`, the last one 0 V",
-    ),
-    Words("valve", "the node that is commanded, on its topic ~/coil_voltage"),
-    Parameter(
-        "max_voltage", "V", "a profile with a larger voltage, of either sign, is refused before anything is commanded",
-        0.0, math.inf,
-    ),
-    Parameter("patience", "s", "to wait for a node that hears the commands", 0.0, math.inf),
-    Words("output", "CSV file of what was commanded when: ROS time in ns, s since the start, V"),
-)  # fmt: skip
+    )
+    valve: str = option("valve", "the node that is commanded, on its topic ~/coil_voltage")
+    max_voltage: float = option(
+        30.0,
+        "a profile with a larger voltage, of either sign, is refused before anything is commanded", "V", 0.0,
+    )  # fmt: skip
+    patience: float = option(10.0, "to wait for a node that hears the commands", "s", 0.0)
+    output: str = option("commanded.csv", "CSV file of what was commanded when: ROS time in ns, s since the start, V")
 
-
-def profile_settings(given: Mapping[str, object], sources: Mapping[str, str]) -> ProfileSettings:
-    """The settings to start with; arguments and errors as of `check_given`."""
-    settings = settings_of(ProfileSettings, check_given(given, PROFILE, sources, "command_profile"))
-    if not settings.profile:
-        raise ParameterError("profile: not given; expected a file such as record_next.yaml (-p profile:=FILE)")
-    return settings
+    def completed(self) -> ProfileSettings:
+        """These settings, if there is a profile."""
+        if not self.profile:
+            raise ParameterError("profile: not given; expected a file such as record_next.yaml (-p profile:=FILE)")
+        return self
 
 
 def checked_profile(settings: ProfileSettings) -> Drive:
@@ -100,24 +91,16 @@ def play(
     Raises:
         ProfileBrokenOffError: there was a reason to stop, or the clock jumped.
     """
-    last, start = None, None
-    for time, volts in zip(drive.times.tolist(), drive.volts.tolist(), strict=True):
-        while True:
-            if reason := why_stop():
-                raise ProfileBrokenOffError(reason)
-            reading = clock.read()
-            if reading is None:
-                clock.sleep_until(0)
-                continue
-            if reason := why_restart(last, reading) or "":
-                raise ProfileBrokenOffError(reason)
-            last = reading
-            start = reading.nanoseconds if start is None else start
-            due = start + round(time * NANOSECONDS)
-            if reading.nanoseconds >= due:
-                break
-            clock.sleep_until(due)
-        note(Commanded(command(volts), volts, (reading.nanoseconds - due) / NANOSECONDS))
+    offsets = [round(time * NANOSECONDS) for time in drive.times.tolist()]
+    left = drive.volts.tolist()
+    try:
+        for _, late in when_due(clock, offsets, lambda: bool(why_stop())):
+            volts = left.pop(0)
+            note(Commanded(command(volts), volts, late / NANOSECONDS))
+    except ClockJumpedError as jump:
+        raise ProfileBrokenOffError(str(jump)) from jump
+    if left:
+        raise ProfileBrokenOffError(why_stop())
 
 
 def as_csv(commanded: Sequence[Commanded]) -> str:

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import math
 import threading
-from collections import Counter, deque
-from collections.abc import Callable, Container
+from bisect import bisect_left, bisect_right
+from collections import Counter
+from collections.abc import Callable, Container, Iterator, Sequence
+from operator import attrgetter
 from typing import Any, Final, NamedTuple, Protocol
 
 from valve_sim.nodes.threads import Fail, StoppableThread
@@ -303,6 +305,43 @@ def why_restart(last: ClockReading | None, now: ClockReading) -> str | None:
     return f"the clock jumped back by {seconds:g} s" if moved < 0 else f"the clock jumped ahead by {seconds:g} s"
 
 
+class ClockJumpedError(Exception):
+    """The clock by which something is played can no longer be followed; the message says why."""
+
+
+def when_due(clock: PaceClock, offsets: Sequence[int], is_stopped: Callable[[], bool]) -> Iterator[tuple[int, int]]:
+    """The index of each deadline once it has come, and how late that is, ns; nothing is left out.
+
+    Simulated time moves by ticks: by it a deadline is late by what the clock has gone on since the tick was seen.
+
+    Args:
+        clock: is followed. offsets: ns after the first reading of it, ascending. is_stopped: whether to end early.
+
+    Raises:
+        ClockJumpedError: the clock jumped or was exchanged.
+    """
+    last, start, index = None, 0, 0
+    while index < len(offsets):
+        reading = clock.read()
+        if is_stopped():
+            return
+        if reading is None:
+            clock.sleep_until(0)
+            continue
+        if last is None:
+            start = reading.nanoseconds
+        elif reason := why_restart(last, reading):
+            raise ClockJumpedError(reason)
+        last = reading
+        while index < len(offsets) and start + offsets[index] <= reading.nanoseconds and not is_stopped():
+            now = clock.read() or reading
+            since = reading.nanoseconds if reading.is_simulated else start + offsets[index]
+            yield index, now.nanoseconds - since
+            index += 1
+        if index < len(offsets):
+            clock.sleep_until(start + offsets[index])
+
+
 class Decimator:
     """Which steps are also samples of a slower topic: the first in each of its periods.
 
@@ -350,22 +389,21 @@ class _Request(NamedTuple):
     value: Any
 
 
+_TIME: Final = attrgetter("time")
+
+
 class TimedQueue:
     """Requests between threads: any thread posts actions, the stepping thread calls those whose time has come.
 
     It cannot grow without bound, whether the clock stands still or the stepping thread does. Of one time it holds at
     most one request of each kind, because a value that would hold for no time need not be kept. Beyond `MOST` requests
     the oldest that a later one of its kind replaces is dropped: what holds in the end is as without the bound.
-
-    Attributes:
-        is_empty: whether there is no request.
     """
 
     MOST: Final = 10_000
 
     def __init__(self) -> None:
-        self.is_empty = True
-        self._requests: deque[_Request] = deque()
+        self._requests: list[_Request] = []
         self._lock = threading.Lock()
 
     def __len__(self) -> int:
@@ -392,21 +430,17 @@ class TimedQueue:
             merge: makes one value of that of a dropped request of this kind and of the new one; default: the new one.
         """
         with self._lock:
-            later, kept = deque[_Request](), deque[_Request]()
-            while self._requests and self._requests[-1].time > time:
-                later.appendleft(self._requests.pop())
-            while self._requests and self._requests[-1].time == time:
-                request = self._requests.pop()
+            first = bisect_left(self._requests, time, key=_TIME)
+            last = bisect_right(self._requests, time, lo=first, key=_TIME)
+            same, kept = self._requests[first:last], list[_Request]()
+            for request in same:
                 if request.kind == kind:
                     value = value if merge is None else merge(request.value, value)
                 elif request.kind not in voids:
-                    kept.appendleft(request)
-            self._requests += kept
-            self._requests.append(_Request(time, kind, action, value))
-            self._requests += later
+                    kept.append(request)
+            self._requests[first:last] = [*kept, _Request(time, kind, action, value)]
             if len(self._requests) > self.MOST:
                 self._drop_one_that_is_replaced()
-            self.is_empty = False
 
     def deliver(self, since: int, until: int) -> None:
         """Call every action whose time is not after `until`, ns, in the order of time, none as of before `since`."""
@@ -422,7 +456,6 @@ class TimedQueue:
         """Drop all actions."""
         with self._lock:
             self._requests.clear()
-            self.is_empty = True
 
     def _drop_one_that_is_replaced(self) -> None:
         """Drop the oldest request that has a later one of its kind; there is one, as there are few kinds."""
@@ -432,6 +465,4 @@ class TimedQueue:
 
     def _take(self, until: int) -> _Request | None:
         with self._lock:
-            request = self._requests.popleft() if self._requests and self._requests[0].time <= until else None
-            self.is_empty = not self._requests
-            return request
+            return self._requests.pop(0) if self._requests and self._requests[0].time <= until else None

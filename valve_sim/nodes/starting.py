@@ -15,17 +15,20 @@ import tempfile
 import textwrap
 import threading
 import traceback
-from collections.abc import Callable, Iterator, MutableMapping, Sequence
+from collections.abc import Callable, MutableMapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import FrameType
-from typing import Any, Final, NamedTuple, NoReturn, Protocol
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, NoReturn
 
 from valve_sim.files.parameter_files import valve_from_flat
 from valve_sim.files.parameter_sections import Section, read_sections
 from valve_sim.files.resources import config_path
 from valve_sim.invocation import invocation
 from valve_sim.model.errors import ParameterError, ValveError
+
+if TYPE_CHECKING:
+    from valve_sim.nodes.wiring import RosNode
 
 UNUSABLE_INPUT: Final = 2
 """Exit code after one line on stderr."""
@@ -42,20 +45,6 @@ _CODE: Final = "    "
 
 GivenFiles = list[tuple[str, Section]]
 """The sections of the parameter files on a command line: (file as given, section), in order."""
-
-
-class RunsAsNode(Protocol):
-    """A node as `run_node` runs it."""
-
-    @property
-    def exit_code(self) -> int:
-        """0, or 1 if it failed."""
-
-    def spin(self) -> None:
-        """Run until ROS is shut down."""
-
-    def close(self, timeout: float) -> bool:
-        """End every thread and release everything; whether each thread has ended within `timeout`, s."""
 
 
 class Extra(NamedTuple):
@@ -81,11 +70,14 @@ class Extra(NamedTuple):
 
 
 class Program(NamedTuple):
-    """A program that runs one node; called as `ros2 run` does, it returns the exit code of `run_node`.
+    """A program that runs one node, as `ros2 run` calls it.
 
     Attributes:
-        name: of the program. place: "module:Class" of its node.
-        about: what it does, with a command that works as printed. pages: where to read on. codes: its exit codes.
+        name: of the program.
+        place: "module:Class" of its node, which is imported only after ROS was found; without it one line is printed.
+        about: what it does, with a command that works as printed; lines that begin with four spaces and the program's
+            name are commands.
+        pages: where to read on. codes: its exit codes.
         needs: a library that not everyone has; None where ROS is enough.
     """
 
@@ -97,8 +89,33 @@ class Program(NamedTuple):
     needs: Extra | None = None
 
     def __call__(self, args: Sequence[str] | None = None) -> int:
-        """Run the node; `args` as of `run_node`."""
-        return run_node(self.name, self.place, args, self.usage, self.needs)
+        """Start the node, spin it, and return its exit code.
+
+        Args:
+            args: the command line with the program's own name first; default sys.argv.
+
+        Returns:
+            0 after --help, SIGINT or SIGTERM, 1 if the node failed, 2 after one line on stderr about unusable input.
+        """
+        arguments = list(sys.argv if args is None else args)
+        if _asks_for_help(arguments):
+            print(_as_typed(self.name, self.usage))
+            return 0
+        signals = _Signals()
+        try:
+            given = read_files(arguments)
+            _ensure_log_folder(self.name)
+            offer_profile(os.environ, Path.cwd(), installed_rclpy())
+            rclpy_init(arguments)
+            node = None if signals.have_come else _made(self.place, given, self.needs)
+        except ValveError as error:
+            print(f"{self.name}: {error}", file=sys.stderr)
+            return UNUSABLE_INPUT
+        if node is None:
+            rclpy().try_shutdown()
+            return 0
+        signals.node = node
+        return _spin(self.name, node)
 
     @property
     def usage(self) -> str:
@@ -122,41 +139,6 @@ def chosen(*programs: Program) -> int:
     names = ", ".join(program.name for program in programs)
     print(f"expected one of {names} first, found {name or 'nothing'}", file=sys.stderr)
     return UNUSABLE_INPUT
-
-
-def run_node(name: str, place: str, args: Sequence[str] | None, usage: str = "", needs: Extra | None = None) -> int:
-    """Start a node, spin it, and return its exit code.
-
-    Args:
-        name: of the program, for messages.
-        place: "module:Class" of the node, which is imported only after ROS was found; without it one line is printed.
-        args: the command line with the program's own name first; default sys.argv.
-        usage: what --help prints; lines that begin with four spaces and the program's name are commands.
-        needs: a library without which the node is not made.
-
-    Returns:
-        0 after --help, SIGINT or SIGTERM, 1 if the node failed, 2 after one line on stderr about unusable input.
-    """
-    arguments = list(sys.argv if args is None else args)
-    if _asks_for_help(arguments):
-        print(_as_typed(name, usage))
-        return 0
-    signals = _Signals()
-    try:
-        with _ends_quietly():
-            given = read_files(arguments)
-            _ensure_log_folder(name)
-            offer_profile(os.environ, Path.cwd(), installed_rclpy())
-        rclpy_init(arguments)
-        node = None if signals.have_come else _made(place, given, needs)
-    except ValveError as error:
-        print(f"{name}: {error}", file=sys.stderr)
-        return UNUSABLE_INPUT
-    if node is None:
-        rclpy().try_shutdown()
-        return 0
-    signals.node = node
-    return _spin(name, node)
 
 
 def _asks_for_help(arguments: Sequence[str]) -> bool:
@@ -227,13 +209,13 @@ def rclpy() -> Any:
         ) from error
 
 
-def _made(place: str, given: GivenFiles, needs: Extra | None) -> RunsAsNode | None:
+def _made(place: str, given: GivenFiles, needs: Extra | None) -> RosNode[Any] | None:
     """The node; None if a signal ended ROS meanwhile."""
     module, _, kind = place.partition(":")
     try:
         if needs is not None:
             needs.require()
-        made: RunsAsNode = getattr(importlib.import_module(module), kind)(given)
+        made: RosNode[Any] = getattr(importlib.import_module(module), kind)(given)
         return made
     except ValveError:
         rclpy().try_shutdown()
@@ -244,7 +226,7 @@ def _made(place: str, given: GivenFiles, needs: Extra | None) -> RunsAsNode | No
         return None
 
 
-def _spin(name: str, node: RunsAsNode) -> int:
+def _spin(name: str, node: RosNode[Any]) -> int:
     shutdown_seen = importlib.import_module("rclpy.executors").ExternalShutdownException
     try:
         node.spin()
@@ -287,7 +269,7 @@ class _Signals:
 
     def __init__(self) -> None:
         self.have_come = False
-        self.node: RunsAsNode | None = None
+        self.node: RosNode[Any] | None = None
         _on_signals(self._note)
 
     def _note(self, number: int, frame: FrameType | None) -> None:
@@ -309,24 +291,10 @@ def _on_signals(action: signal.Handlers | Callable[[int, FrameType | None], None
         signal.signal(number, action)
 
 
-@contextlib.contextmanager
-def _ends_quietly() -> Iterator[None]:
-    """Until ROS takes the signals over, they end the program with code 0 too."""
-
-    def end(number: int, frame: FrameType | None) -> NoReturn:
-        raise SystemExit(0)
-
-    before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
 def _ensure_log_folder(name: str) -> None:
     """Log elsewhere, and say so, where ROS cannot write its log: it would not start."""
-    folder = log_folder()
+    rclpy()
+    folder = Path(importlib.import_module("rclpy.logging").get_logging_directory())
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
@@ -338,15 +306,6 @@ def _ensure_log_folder(name: str) -> None:
             f"{name}: {folder}: cannot be written ({error.strerror}); logs go to {elsewhere}, or set ROS_LOG_DIR",
             file=sys.stderr,
         )
-
-
-def log_folder() -> Path:
-    """Where ROS will log: ROS_LOG_DIR, or log/ below ROS_HOME, or ~/.ros/log."""
-    chosen = os.environ.get("ROS_LOG_DIR")
-    if chosen:
-        return Path(chosen).expanduser()
-    home = os.environ.get("ROS_HOME")
-    return (Path(home) if home else Path("~/.ros")).expanduser() / "log"
 
 
 class Profile(NamedTuple):

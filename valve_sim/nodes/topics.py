@@ -83,6 +83,8 @@ VALVE: Final = (
     _service("~/reset", "puts the valve to rest: closed, without current or command"),
     _service("~/self_test", "one stroke of a copy of the valve, off line"),
 )
+ENDS: Final = ("inlet_pressure", "demand_pressure")
+"""Pressures at the ends of a valve with gas: of its tank, and behind the demand's orifice."""
 GAS: Final = (
     Topic("~/inlet_pressure", _PRESSURE, "in", "the tank's pressure, held until the next", "Pa"),
     Topic("~/demand_pressure", _PRESSURE, "in", "the pressure behind the demand's orifice, held until the next", "Pa"),

@@ -15,9 +15,7 @@ from functools import partial
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
-from std_srvs.srv import Trigger
 
-from valve_sim.files.parameter_files import default_valve
 from valve_sim.files.parameter_sections import Section
 from valve_sim.model import ParameterError, Phase, Valve
 from valve_sim.nodes import topics
@@ -25,7 +23,7 @@ from valve_sim.nodes.diagnostics import Level, Reminder, Status, command_status,
 from valve_sim.nodes.live_valve import LiveValve, Step, self_test
 from valve_sim.nodes.messages import IS_OPEN, PHASE, ReadingMessages
 from valve_sim.nodes.obeyed_topics import BETWEEN_WARNINGS, GasTopics, ObeyedTopic
-from valve_sim.nodes.parameters import Value, as_declared, changed_words, settings_of
+from valve_sim.nodes.parameters import Value, as_declared, changed_words, check_given
 from valve_sim.nodes.realtime import NANOSECONDS, Restart, SubscriberCounts, Worker
 from valve_sim.nodes.receiving import Inbox
 from valve_sim.nodes.spinning import guarded
@@ -33,31 +31,26 @@ from valve_sim.nodes.threads import StoppableThread, load_stepper
 from valve_sim.nodes.valve_parameters import (
     TOLERANCES,
     VALVE_KEYS,
-    Settings,
-    check_with_valve,
-    table,
+    ValveSettings,
     valve_of,
     with_tolerances,
 )
-from valve_sim.nodes.wiring import DuplicateNodes, Interface, RosNode, declared
+from valve_sim.nodes.wiring import DuplicateNodes, RosNode
 
 
-class ValveNode(RosNode):
+class ValveNode(RosNode[ValveSettings]):
     """The node `valve`, with the topics and services `topics.VALVE`, and `topics.GAS` from when gas is declared.
 
-    Parameters: the table of `valve_parameters`; all but `calibration` can be set at run time.
-
-    Args:
-        sections: (file, section) of the parameter files on the command line.
+    Parameters: `valve_parameters.ValveSettings`; all but `calibration` can be set at run time.
 
     Raises:
         ParameterError: a parameter is unknown, of the wrong type or out of range.
     """
 
     def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
-        super().__init__("valve")
-        self._table = table(default_valve())
-        self._settings = self._declare(sections)
+        super().__init__("valve", sections, ValveSettings, topics.VALVE)
+        self._table = ValveSettings.table()
+        self._told = self._present_values()
         self._live = LiveValve(
             self._current_valve(),
             scale=self._settings.time_scale,
@@ -94,21 +87,11 @@ class ValveNode(RosNode):
 
     # --- wiring ---
 
-    def _declare(self, sections: Sequence[tuple[str, Section]]) -> Settings:
-        values = declared(
-            self._node,
-            sections,
-            self._table,
-            lambda given, sources: check_with_valve(given, self._table, sources, "valve_node"),
-        )
-        self._told = self._values()
+    def _wire(self) -> None:
         self._node.add_pre_set_parameters_callback(guarded(self._complete))
         self._node.add_on_set_parameters_callback(guarded(self._validate))
         self._node.add_post_set_parameters_callback(guarded(self._apply))
-        return settings_of(Settings, values)
-
-    def _wire(self) -> None:
-        interface = Interface(self._node, topics.VALVE)
+        interface = self._interface
         self._joint_states = interface.publisher("~/joint_states")
         self._coil = interface.publisher("~/coil")
         self._coil_current = interface.publisher("~/coil_current")
@@ -122,10 +105,10 @@ class ValveNode(RosNode):
         )  # fmt: skip
         if self._live.valve.gas is not None:
             self._gas = self._wire_gas()
-        interface.serve("~/reset", guarded(self._reset))
-        interface.serve("~/self_test", guarded(self._self_test))
+        interface.serve("~/reset", self._reset)
+        interface.serve("~/self_test", self._self_test)
         self._too_busy = Reminder()
-        self._publish_diagnostics(interface, self._statuses)
+        self._publish_diagnostics(self._statuses)
 
     def _wire_gas(self) -> GasTopics:
         return GasTopics(self._node, self._inbox, self._clock, self._live, self._messages)
@@ -228,22 +211,18 @@ class ValveNode(RosNode):
 
     # --- callbacks, in the main thread ---
 
-    def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _reset(self) -> tuple[bool, str]:
         self._inbox.deliver()  # what came before it
         self._live.reset(self._now())
         self._voltage.count.accept()
         self._failure = ""
         self._node.get_logger().info("reset: the valve rests closed, without current")
-        response.success = True
-        response.message = "the valve rests closed, without current; the last command no longer holds"
-        return response
+        return True, "the valve rests closed, without current; the last command no longer holds"
 
-    def _self_test(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _self_test(self) -> tuple[bool, str]:
         if not self._is_ready:
-            response.success, response.message = False, "the model is still being compiled; ask again in some seconds"
-            return response
-        response.success, response.message = self_test(self._live.valve)
-        return response
+            return False, "the model is still being compiled; ask again in some seconds"
+        return self_test(self._live.valve)
 
     def _statuses(self) -> Iterator[Status]:
         now = self._now()
@@ -278,15 +257,16 @@ class ValveNode(RosNode):
         own = [p for p in parameters if p.name in self._table or p.name.startswith(f"{TOLERANCES}.")]
         given = {parameter.name: as_declared(parameter.name, parameter.value, self._table) for parameter in own}
         with contextlib.suppress(ParameterError):  # which `_validate` reports
-            given = with_tolerances(given, self._values())
+            given = with_tolerances(given, self._present_values())
         others = [parameter for parameter in parameters if parameter not in own]
         return [*others, *(Parameter(name, value=value) for name, value in given.items())]
 
     def _validate(self, parameters: list[Parameter]) -> SetParametersResult:
         name = self._node.get_fully_qualified_name()
+        given = {parameter.name: parameter.value for parameter in parameters if parameter.name in self._table}
         try:
-            changes = self._checked(parameters, name)
-            valve_of({**self._values(), **changes}, name)
+            places = dict.fromkeys(given, name)
+            valve_of(check_given(given, self._table, places, ValveSettings.program, self._present_values()), name)
         except ParameterError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
@@ -296,11 +276,11 @@ class ValveNode(RosNode):
         names = {parameter.name for parameter in parameters} & self._table.keys()
         if not names:
             return
-        values = self._values()
+        values = self._present_values()
         if changes := changed_words(self._told, values):
             self._node.get_logger().info(f"set: {changes}")
         self._inbox.deliver()  # what came before they were set
-        now, settings, self._told = self._now(), settings_of(Settings, values), values
+        now, settings, self._told = self._now(), ValveSettings.of(values), values
         if settings.time_scale != self._settings.time_scale:
             self._live.set_scale(now, settings.time_scale)
         if settings.max_voltage != self._settings.max_voltage:
@@ -321,18 +301,7 @@ class ValveNode(RosNode):
             if self._is_ready:
                 self._warn_if_it_cannot_open(valve)
 
-    def _checked(self, parameters: list[Parameter], source: str) -> dict[str, Value]:
-        checked = {}
-        for parameter in parameters:
-            if parameter.name in self._table:
-                if parameter.type_ is Parameter.Type.NOT_SET:
-                    raise ParameterError(f"{source}: {parameter.name}: cannot be undeclared")
-                checked[parameter.name] = self._table[parameter.name].check(
-                    parameter.value, f"{source}: {parameter.name}"
-                )
-        return checked
-
-    def _values(self) -> dict[str, Value]:
+    def _present_values(self) -> dict[str, Value]:
         found = {}
         for name, entry in self._table.items():
             value = self._node.get_parameter(name).value
@@ -340,7 +309,7 @@ class ValveNode(RosNode):
         return found
 
     def _current_valve(self) -> Valve:
-        return valve_of(self._values(), self._node.get_fully_qualified_name())
+        return valve_of(self._present_values(), self._node.get_fully_qualified_name())
 
     def _warn_if_it_cannot_open(self, valve: Valve) -> None:
         with contextlib.suppress(Exception):

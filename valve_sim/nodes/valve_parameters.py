@@ -8,11 +8,13 @@ such as `tolerances.stroke`, are taken from files and command lines, and at run 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from typing import Any, Final, NamedTuple
+from dataclasses import dataclass
+from typing import Any, Final
 
 from valve_sim.files.parameter_files import (
     add_tolerance,
     complete_effect,
+    default_valve,
     off_value,
     read_tolerances,
     tolerances_text,
@@ -20,41 +22,48 @@ from valve_sim.files.parameter_files import (
 )
 from valve_sim.model import CATALOGUE, DECLARED, Parameter, Valve, ValveParameters
 from valve_sim.model.gas import FLUIDS, GAS, GasParameters
-from valve_sim.nodes.parameters import NodeParameter, Table, Value, Words, check_given, table_of
+from valve_sim.nodes.parameters import NodeParameter, NodeSettings, Table, Value, check_given, option
 
 TOLERANCES: Final = "tolerances"
 VALVE_KEYS: Final = ("valve.", "effects.", "gas.", TOLERANCES)
 """What the names of parameters that describe a valve, not a node, begin with."""
 
 
-class Settings(NamedTuple):
-    """The node's own parameters; units as in the table."""
+@dataclass(frozen=True)
+class ValveSettings(NodeSettings):
+    """The node's own parameters, beside its valve."""
 
-    publish_rate: float = 1000.0
-    time_scale: float = 1.0
-    command_timeout: float = 0.0
-    max_voltage: float = 30.0
-    frame_id: str = ""
-    calibration: str = ""
+    program = "valve_node"
 
-
-_SETTINGS: Final = table_of(
-    Settings,
-    Parameter(
-        "publish_rate", "Hz", "samples a second of the clock on ~/joint_states, ~/coil and ~/coil_current", 0.1, 1e4
-    ),
-    Parameter("time_scale", "–", "model seconds a second of the clock; below 1 is slow motion", 1e-6, 1e3),
-    Parameter("command_timeout", "s", "without a command for so long, the coil is de-energised; 0: never", 0, 1e6),
-    Parameter("max_voltage", "V", "commands beyond it, either sign, are ignored and counted", 0, 1e4),
-    Words("frame_id", "header.frame_id of the joint states"),
-    Words(
-        "calibration",
+    publish_rate: float = option(
+        1000.0,
+        "samples a second of the clock on ~/joint_states, ~/coil and ~/coil_current", "Hz", 0.1, 1e4, read_only=False,
+    )  # fmt: skip
+    time_scale: float = option(
+        1.0, "model seconds a second of the clock; below 1 is slow motion", "–", 1e-6, 1e3, read_only=False
+    )
+    command_timeout: float = option(
+        0.0, "without a command for so long, the coil is de-energised; 0: never", "s", 0, 1e6, read_only=False
+    )
+    max_voltage: float = option(
+        30.0, "commands beyond it, either sign, are ignored and counted", "V", 0, 1e4, read_only=False
+    )
+    frame_id: str = option("", "header.frame_id of the joint states", read_only=False)
+    calibration: str = option(
+        "",
         "calibration.json of `valve-sim commission`: what the valve has otherwise, at the start and when it is set, "
         "is appended to its journal; empty: none",
-        read_only=True,
-    ),
-    read_only=False,
-)
+    )
+
+    @classmethod
+    def table(cls) -> dict[str, NodeParameter]:
+        """Every parameter of valve_node by name; the defaults are the shipped valve."""
+        return {**cls.rows(), **valve_table(default_valve())}
+
+    @classmethod
+    def values(cls, given: Mapping[str, object], sources: Mapping[str, str]) -> dict[str, Value]:
+        """The values at the start; arguments and errors as of `check_with_valve`."""
+        return check_with_valve(given, cls.table(), sources, cls.program)
 
 
 def valve_table(default: Valve, *, read_only: bool = False) -> dict[str, NodeParameter]:
@@ -71,11 +80,6 @@ def valve_table(default: Valve, *, read_only: bool = False) -> dict[str, NodePar
     meaning = "standard deviations of declared values, as the group of a parameter file, in JSON; empty: all exact"
     entries.append(NodeParameter(TOLERANCES, tolerances_text(default.tolerances.to_mapping()), meaning))
     return {entry.name: entry._replace(read_only=read_only) for entry in entries}
-
-
-def table(default: Valve) -> dict[str, NodeParameter]:
-    """Every parameter of valve_node by name; `default`: the valve whose values are the defaults."""
-    return {**_SETTINGS, **valve_table(default)}
 
 
 def check_with_valve(
@@ -120,6 +124,22 @@ def valve_of(values: Mapping[str, object], source: str) -> Valve:
     """
     of_valve = {name: value for name, value in values.items() if name.startswith(VALVE_KEYS)}
     return valve_from_flat(of_valve, source, Valve())
+
+
+def unit_of(name: str) -> str:
+    """The unit of a parameter, SI, empty where it has none.
+
+    Args:
+        name: as a node has it, valve.spring_rate or effects.stiction.force, or without the first word.
+    """
+    for root in (f"{TOLERANCES}.", "effects.", "valve."):
+        name = name.removeprefix(root)
+    group, _, own = name.rpartition(".")
+    effect = CATALOGUE.get(group)
+    rules = GAS if group == "gas" else DECLARED
+    known = rules if effect is None else {rule.name: rule for rule in effect.parameters}
+    unit = known[own].unit if own in known else ""
+    return "" if unit == "–" else unit
 
 
 def with_tolerances(changes: Mapping[str, Any], values: Mapping[str, Value]) -> dict[str, Any]:

@@ -6,14 +6,16 @@ Nodes that command coils have in common that a signal only ends their work, and 
 from __future__ import annotations
 
 import importlib
+import inspect
 import signal
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import datetime, timezone
 from pathlib import Path
 from types import FrameType
-from typing import Any, Protocol
+from typing import Any, Generic, Protocol
 
+from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.callback_groups import CallbackGroup
 from rclpy.executors import ExternalShutdownException
@@ -23,20 +25,18 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import uninstall_signal_handlers
 from std_msgs.msg import Float64
+from std_srvs.srv import Trigger
 
 from valve_sim.files.parameter_sections import Section
 from valve_sim.model import ParameterError, Valve
 from valve_sim.nodes.diagnostics import CalibrationWatch, Status
 from valve_sim.nodes.messages import diagnostic_array
 from valve_sim.nodes.node_clock import NodeClock
-from valve_sim.nodes.parameters import NodeParameter, Table, Value, files_for_others, is_of_ros, sources_of
+from valve_sim.nodes.parameters import NodeParameter, NodeSettings, S, Value, files_for_others, is_of_ros, sources_of
 from valve_sim.nodes.receiving import Inbox, Source, Take
-from valve_sim.nodes.spinning import every, spin, wait_until_heard
+from valve_sim.nodes.spinning import every, guarded, spin, wait_until_heard
 from valve_sim.nodes.threads import Fail, StoppableThread, StopRequest
 from valve_sim.nodes.topics import Qos, Topic
-
-Check = Callable[[Mapping[str, object], Mapping[str, str]], Any]
-"""Makes settings, or values, of what was given by name, and of the file where each was given."""
 
 
 def make_node(name: str) -> Node:
@@ -54,54 +54,33 @@ def make_node(name: str) -> Node:
         ) from error
 
 
-def declared(
-    node: Node,
-    sections: Sequence[tuple[str, Section]],
-    table: Table,
-    check: Check,
-    former_names: Mapping[str, str] | None = None,
-) -> Any:
-    """What `check` makes of the parameters that were given; all of the table are declared with these values.
+def declared(node: Node, sections: Sequence[tuple[str, Section]], settings: type[NodeSettings]) -> Mapping[str, Value]:
+    """The values of a node's parameters at the start; all of its table are declared with them.
+
+    A file that holds nothing for this node is warned about. rclpy passes over a misspelt name without a word;
+    `make_node` has declared it.
 
     Args:
         node: the one that starts. sections: (file, section) of the parameter files on the command line.
-        table: of the node. check: its settings, a named tuple, or its values by name.
-        former_names: names of an earlier release, which still count, to present ones.
+        settings: of the node.
 
     Raises:
         ParameterError: a parameter is unknown, of the wrong type or out of range.
     """
-    given = _given(node, sections, former_names or {})
-    found = check(given, sources_of(sections, node.get_fully_qualified_name()))
-    values: Mapping[str, Value] = found if isinstance(found, dict) else found._asdict()
-    for name in given:
-        node.undeclare_parameter(name)
-    for name, entry in table.items():
-        value = values[name]
-        node.declare_parameter(
-            name, list(value) if isinstance(value, tuple) else value, descriptor(entry), ignore_override=True
-        )
-    return found
-
-
-def _given(node: Node, sections: Sequence[tuple[str, Section]], former_names: Mapping[str, str]) -> dict[str, object]:
-    """Flat name to value of the parameters given on the command line and in its files, without those of ROS itself.
-
-    rclpy passes over a misspelt name without a word; `make_node` has declared it. A file that holds nothing for this
-    node is warned about, and so is a name of an earlier release.
-    """
     name = node.get_fully_qualified_name()
     for path, found in files_for_others(sections, name).items():
         node.get_logger().warning(f"{path} has parameters for {', '.join(found)}, and none for {name}")
-    for former, present in former_names.items():
-        if node.has_parameter(former):
-            node.get_logger().warning(f"parameter {former} is called {present} now; please use that name")
-            value = node.get_parameter(former).value
-            node.undeclare_parameter(former)
-            if not node.has_parameter(present):
-                node.declare_parameter(present, value, ignore_override=True)
     all_declared: Mapping[str, Any] = node.get_parameters_by_prefix("")
-    return {key: parameter.value for key, parameter in all_declared.items() if not is_of_ros(key)}
+    given = {key: parameter.value for key, parameter in all_declared.items() if not is_of_ros(key)}
+    values = settings.values(given, sources_of(sections, name))
+    for key in given:
+        node.undeclare_parameter(key)
+    for key, entry in settings.table().items():
+        value = values[key]
+        node.declare_parameter(
+            key, list(value) if isinstance(value, tuple) else value, descriptor(entry), ignore_override=True
+        )
+    return values
 
 
 def descriptor(entry: NodeParameter) -> ParameterDescriptor:
@@ -158,10 +137,22 @@ class Interface:
         topic = self._topics[name, "in"]
         return inbox.subscribe(kind_of(topic.type), self._filled(name, places), take, profile(topic.qos), raw=raw)
 
-    def serve(self, name: str, answer: Callable[..., Any], group: CallbackGroup | None = None, **places: str) -> None:
-        """Answer a service; `places` as of the class."""
+    def serve(self, name: str, answer: Callable[[], Any], group: CallbackGroup | None = None, **places: str) -> None:
+        """Answer a service of type std_srvs/Trigger.
+
+        Args:
+            name: as in the table. answer: says whether it was done, and what to say; it may be a coroutine.
+            group: of its callbacks. places: as of the class.
+        """
+        ask = guarded(answer)
+
+        async def respond(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            found = ask()
+            response.success, response.message = await found if inspect.isawaitable(found) else found
+            return response
+
         kind = kind_of(self._topics[name, "service"].type)
-        self._node.create_service(kind, self._filled(name, places), answer, callback_group=group)
+        self._node.create_service(kind, self._filled(name, places), respond, callback_group=group)
 
     def _filled(self, name: str, places: Mapping[str, str]) -> str:
         return name.format(**self._places, **places)
@@ -221,16 +212,25 @@ class Stops(Protocol):
         """Ask it to end; whether it has ended within `timeout`, s."""
 
 
-class RosNode:
-    """What the nodes of this package have in common: a node, its clock, what runs beside it, and their end.
+class RosNode(Generic[S]):
+    """What the nodes of this package have in common: two tables, a clock, what runs beside the node, and its end.
 
     Args:
-        name: of the node, unless ROS is told another.
+        name: of the node, unless ROS is told another. sections: (file, section) of the parameter files given to it.
+        settings: its parameters. topics: its topics and services.
+
+    Raises:
+        ParameterError: a parameter is unknown, of the wrong type or out of range.
     """
 
-    def __init__(self, name: str) -> None:
+    def __init__(
+        self, name: str, sections: Sequence[tuple[str, Section]], settings: type[S], topics: Sequence[Topic]
+    ) -> None:
         self._node = make_node(name)
         self._clock = NodeClock(self._node)
+        self._initial_values = declared(self._node, sections, settings)
+        self._settings: S = settings.of(self._initial_values)
+        self._interface = Interface(self._node, topics)
         self._exit_code = 0
         self._threads: list[Stops] = []
         """What is asked to end at the node's end, in this order."""
@@ -258,10 +258,18 @@ class RosNode:
         reading = self._clock.read()
         return 0 if reading is None else reading.nanoseconds
 
-    def _publish_diagnostics(self, interface: Interface, statuses: Callable[[], Iterable[Status]]) -> None:
+    def _full_names(self, key: str) -> list[str]:
+        """The full names of the nodes that a parameter, which is a list, names."""
+        return [full_name(self._node, given, key) for given in getattr(self._settings, key)]
+
+    def _publish_diagnostics(self, statuses: Callable[[], Iterable[Status]]) -> None:
         """Say what there is to say once a second of wall time, so that a silent /clock is reported too."""
-        name, publisher = self._node.get_fully_qualified_name(), interface.publisher("/diagnostics")
-        every(self._node, 1.0, lambda: publisher.publish(diagnostic_array(statuses(), name, self._clock.stamp())))
+        publisher = self._interface.publisher("/diagnostics")
+        every(self._node, 1.0, lambda: publisher.publish(self._diagnostics(statuses(), self._clock.stamp())))
+
+    def _diagnostics(self, statuses: Iterable[Status], stamp: int) -> DiagnosticArray:
+        """A message of this node; `stamp` in ns."""
+        return diagnostic_array(statuses, self._node.get_fully_qualified_name(), stamp)
 
     def _watched_calibration(self, path: str, valve: Valve) -> CalibrationWatch | None:
         """The calibration record at a path, with what is declared otherwise noted; None where the path is empty.
@@ -322,17 +330,18 @@ class AnsweringThread(StoppableThread):
             self._end_work("ROS was shut down")
 
 
-class CommandingNode(RosNode):
+class CommandingNode(RosNode[S]):
     """A node whose main thread works until it is done or told to end, and which then commands 0 V.
 
     Whichever thread commands does so under `_commanding`, unless `_is_off`.
 
-    Args:
-        name: of the node, unless ROS is told another.
+    Arguments and errors as of `RosNode`.
     """
 
-    def __init__(self, name: str) -> None:
-        super().__init__(name)
+    def __init__(
+        self, name: str, sections: Sequence[tuple[str, Section]], settings: type[S], topics: Sequence[Topic]
+    ) -> None:
+        super().__init__(name, sections, settings, topics)
         self._voltages: list[Publisher] = []
         self._commanding = threading.Lock()
         self._is_off = False

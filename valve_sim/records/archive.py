@@ -23,8 +23,8 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple, get_args
 
+from valve_sim.files.whole_files import atomic_write
 from valve_sim.model.errors import ValveError
-from valve_sim.records.durable import write_durably
 
 Kind = Literal["strokes", "findings", "alarms", "recordings"]
 Row = Mapping[str, object]
@@ -144,9 +144,9 @@ class Archive:
             folder = self._place(kind, valve) / f"month={month}"
             files = _held(folder)
             number = files[-1].last + 1 if files else 0
-            self._write(kind, folder, number, number, self._table(kind, self._waiting[place]))
+            self._write(folder, number, number, self._table(kind, self._waiting[place]))
             del self._waiting[place]
-            self._merge(kind, folder)
+            self._merge(folder)
 
     @contextlib.contextmanager
     def _locked(self) -> Iterator[None]:
@@ -266,13 +266,11 @@ class Archive:
         fields += [(name, types.get(of) or getattr(arrow, of)()) for name, of in COLUMNS[kind].items()]
         return arrow.Table.from_pylist([dict(row) for row in rows], schema=arrow.schema(fields))
 
-    def _write(self, kind: Kind, folder: Path, first: int, last: int, table: Any) -> None:
-        def write(partial: Path) -> None:
+    def _write(self, folder: Path, first: int, last: int, table: Any) -> None:
+        with atomic_write(folder / f"{first:08d}-{last:08d}.parquet", durable=True) as partial:
             self._parquet.write_table(table, partial, compression="zstd", compression_level=9)
 
-        write_durably(folder / f"{first:08d}-{last:08d}.parquet", write)
-
-    def _merge(self, kind: Kind, folder: Path) -> None:
+    def _merge(self, folder: Path) -> None:
         """Make one of the last 32 files, as often as there are so many of one size."""
         while True:
             files = _held(folder)
@@ -281,7 +279,7 @@ class Archive:
                 break
             tables = [self._load(file) for file in last]
             whole = self._arrow.concat_tables(tables).unify_dictionaries().sort_by("time")
-            self._write(kind, folder, last[0].first, last[-1].last, whole)
+            self._write(folder, last[0].first, last[-1].last, whole)
         _sweep(folder)
 
     def _load(self, file: _File, wanted: Any = None, columns: list[str] | None = None) -> Any:

@@ -18,10 +18,10 @@ from typing import Any, Final, NamedTuple
 
 from valve_sim.files.json_text import finite_or_none, json_text
 from valve_sim.files.parameter_files import load_valve
+from valve_sim.files.whole_files import write_whole
 from valve_sim.files.yaml_files import read_yaml
 from valve_sim.model import Valve
 from valve_sim.model.errors import ValveError
-from valve_sim.records.durable import write_text_durably
 
 SCHEMA: Final = "valve_sim/calibration/2"
 _JOURNAL: Final = "valve_sim/calibration_journal/1"
@@ -167,7 +167,7 @@ def save_record(path: Path, record: Record) -> None:
     Raises:
         ValveError: it cannot be written.
     """
-    write_text_durably(path, json_text(record.to_json()))
+    write_whole(path, json_text(record.to_json()), durable=True)
 
 
 def load_record(path: Path) -> Record:
@@ -222,7 +222,7 @@ def _append(record: Path, new: Sequence[Change]) -> None:
         previous = _digest(content)
         entries.append({**content, "digest": previous})
     text = json_text({"schema": _JOURNAL, "record": base.digest, "changes": entries})
-    write_text_durably(journal_path(record), text)
+    write_whole(journal_path(record), text, durable=True)
 
 
 def load_changes(record: Path) -> tuple[Change, ...]:

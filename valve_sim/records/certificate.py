@@ -6,8 +6,8 @@ from pathlib import Path
 
 from jinja2 import Environment, PackageLoader
 
+from valve_sim.files.whole_files import write_whole
 from valve_sim.records.calibration import Change, Record
-from valve_sim.records.durable import write_text_durably
 
 
 def certificate(record: Record, changes: tuple[Change, ...] = ()) -> str:
@@ -25,7 +25,7 @@ def write_certificate(path: Path, record: Record, changes: tuple[Change, ...] = 
     Raises:
         ValveError: it cannot be written.
     """
-    write_text_durably(path, certificate(record, changes))
+    write_whole(path, certificate(record, changes), durable=True)
 
 
 def _number(value: float | None) -> str:

@@ -28,15 +28,15 @@ _SCHEMA: Final = "valve_sim/alarms/1"
 
 
 class Refusal(enum.Enum):
-    """Why a person's answer to an alarm does not count."""
+    """Why a person's answer to an alarm does not count; the value is the status code's name in OPC UA."""
 
-    UNKNOWN_EVENT = "the event is none of this alarm"
-    ALREADY_ACKNOWLEDGED = "the alarm is acknowledged already"
-    NOT_ACKNOWLEDGED = "the alarm is not acknowledged yet"
-    ALREADY_CONFIRMED = "the alarm is confirmed already"
-    ALREADY_SHELVED = "the alarm is shelved like this already"
-    NOT_SHELVED = "the alarm is not shelved"
-    TIME_OUT_OF_RANGE = "the time is not above 0, or longer than an alarm may be shelved"
+    UNKNOWN_EVENT = "BadEventIdUnknown"
+    ALREADY_ACKNOWLEDGED = "BadConditionBranchAlreadyAcked"
+    NOT_ACKNOWLEDGED = "BadInvalidState"
+    ALREADY_CONFIRMED = "BadConditionBranchAlreadyConfirmed"
+    ALREADY_SHELVED = "BadConditionAlreadyShelved"
+    NOT_SHELVED = "BadConditionNotShelved"
+    TIME_OUT_OF_RANGE = "BadShelvingTimeOutOfRange"
 
 
 class Shelving(enum.Enum):

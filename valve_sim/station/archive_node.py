@@ -9,52 +9,45 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
-from std_srvs.srv import Trigger
-
 from valve_sim.files.parameter_sections import Section
 from valve_sim.files.whole_files import refuse_unwritable
 from valve_sim.model.errors import ValveError
-from valve_sim.nodes.spinning import every, guarded
-from valve_sim.nodes.wiring import Interface, RosNode, declared, full_name
+from valve_sim.nodes.spinning import every
+from valve_sim.nodes.wiring import RosNode, full_name
 from valve_sim.records.archive import Archive
 from valve_sim.station.figures import Report
 from valve_sim.station.hearing import StationEar
 from valve_sim.station.keeping import Keeper
-from valve_sim.station.tables import ARCHIVE, ARCHIVE_TOPICS, ArchiveSettings, archive_settings
+from valve_sim.station.tables import ARCHIVE_TOPICS, ArchiveSettings
 
 _PERIOD: Final = 0.5
 """s between looks at what was heard."""
 _BETWEEN_PRUNINGS: Final = 6.0 * 3600.0
 
 
-class ArchiveNode(RosNode):
+class ArchiveNode(RosNode[ArchiveSettings]):
     """The node `archive`, with the topics and services `tables.ARCHIVE_TOPICS` of each of `valves` and `monitors`.
 
-    Parameters: `tables.ARCHIVE`; they are read once, at the start. What cannot be written waits.
-
-    Args:
-        sections: (file, section) of the parameter files on the command line.
+    Parameters: `tables.ArchiveSettings`; they are read once, at the start. What cannot be written waits.
 
     Raises:
         ValveError: a parameter cannot be used, or the folder cannot be written.
     """
 
     def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
-        super().__init__("archive")
-        settings: ArchiveSettings = declared(self._node, sections, ARCHIVE, archive_settings)
+        super().__init__("archive", sections, ArchiveSettings, ARCHIVE_TOPICS)
+        settings = self._settings
         folder = Path(settings.folder).expanduser()
         refuse_unwritable(folder / "any.parquet")
         self._archive = Archive(folder, settings.years, int(1e6 * settings.megabytes))
         self._keeper, self._prune_at = Keeper(self._archive), time.monotonic()
-        valves = [full_name(self._node, name, "valves") for name in settings.valves]
-        monitors = [full_name(self._node, name, "monitors") for name in settings.monitors]
-        interface = Interface(self._node, ARCHIVE_TOPICS)
+        valves, monitors = self._full_names("valves"), self._full_names("monitors")
         alarms = full_name(self._node, settings.alarms, "alarms")
         self._ear = StationEar(
-            self._node, self._clock, interface, valves, monitors, self._take, is_live=False, alarms=alarms
+            self._node, self._clock, self._interface, valves, monitors, self._take, is_live=False, alarms=alarms
         )
         for valve in valves:
-            interface.serve("{valve}/serviced", guarded(partial(self._note_service, valve)), valve=valve)
+            self._interface.serve("{valve}/serviced", partial(self._note_service, valve), valve=valve)
         every(self._node, _PERIOD, self._look)
         self._node.get_logger().info(f"ready: keeps what is said of {len(valves)} valves in {folder}")
 
@@ -69,16 +62,14 @@ class ArchiveNode(RosNode):
     def _take(self, report: Report) -> None:
         self._keeper.take(report, time.monotonic())
 
-    def _note_service(self, valve: str, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _note_service(self, valve: str) -> tuple[bool, str]:
         self._ear.look()  # strokes that came before
         try:
             words = self._keeper.note_service(valve, datetime.now(timezone.utc), time.monotonic())
             self._archive.flush()
         except ValveError as error:
-            response.success, response.message = False, f"{error}; it is kept when that is possible again"
-        else:
-            response.success, response.message = True, f"{valve}: {words}; they count from 0 again"
-        return response
+            return False, f"{error}; it is kept when that is possible again"
+        return True, f"{valve}: {words}; they count from 0 again"
 
     def _look(self) -> None:
         self._ear.look()

@@ -15,34 +15,31 @@ from sensor_msgs.msg import FluidPressure
 from std_msgs.msg import Float64
 
 from valve_sim.files.parameter_sections import Section
+from valve_sim.nodes.messages import ReadingMessages
 from valve_sim.nodes.realtime import NANOSECONDS, Arrival, Restart, Worker
 from valve_sim.nodes.receiving import Inbox
 from valve_sim.nodes.starting import STOP_SECONDS
-from valve_sim.nodes.wiring import CommandingNode, Interface, declared, full_name
+from valve_sim.nodes.wiring import CommandingNode
 from valve_sim.station.dispenser import Dispensed, Dispenser
-from valve_sim.station.tables import DISPENSER, DISPENSER_TOPICS, DispenserSettings, dispenser_settings
+from valve_sim.station.tables import DISPENSER_TOPICS, DispenserSettings
 
 _BETWEEN_REMINDERS: Final = 10.0
 """s between lines that say which valve is waited for."""
 
 
-class DispenserNode(CommandingNode):
+class DispenserNode(CommandingNode[DispenserSettings]):
     """The node `dispenser`, with the topics `tables.DISPENSER_TOPICS` for each of `valves`.
 
-    Parameters: `tables.DISPENSER`; they are read once, at the start.
-
-    Args:
-        sections: (file, section) of the parameter files on the command line.
+    Parameters: `tables.DispenserSettings`; they are read once, at the start.
 
     Raises:
         ParameterError: a parameter is unknown, of the wrong type or out of range.
     """
 
     def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
-        super().__init__("dispenser")
-        self._settings: DispenserSettings = declared(self._node, sections, DISPENSER, dispenser_settings)
+        super().__init__("dispenser", sections, DispenserSettings, DISPENSER_TOPICS)
         self._dispenser = Dispenser(self._settings)
-        self._inbox = Inbox(self._node, self._clock)
+        self._inbox, self._messages = Inbox(self._node, self._clock), ReadingMessages("")
         self._wire()
         self._zero = 0
         self._worker = Worker(
@@ -61,11 +58,10 @@ class DispenserNode(CommandingNode):
         self._worker.stop(STOP_SECONDS)
 
     def _wire(self) -> None:
-        interface = Interface(self._node, DISPENSER_TOPICS)
+        interface = self._interface
         self._demands: list[Publisher] = []
         self._inlets: list[Publisher | None] = []
-        for k, (given, volume) in enumerate(zip(self._settings.valves, self._settings.tank_volumes, strict=True)):
-            valve = full_name(self._node, given, "valves")
+        for k, (valve, volume) in enumerate(zip(self._full_names("valves"), self._settings.tank_volumes, strict=True)):
             self._voltages.append(interface.publisher("{valve}/coil_voltage", valve=valve))
             self._demands.append(interface.publisher("{valve}/demand_pressure", valve=valve))
             self._inlets.append(interface.publisher("{valve}/inlet_pressure", valve=valve) if volume else None)
@@ -113,20 +109,14 @@ class DispenserNode(CommandingNode):
 
     def _publish(self, done: Dispensed) -> None:
         stamp = self._clock.stamp()
-        line = _pressure(stamp, done.line_pressure)
+        line = self._messages.pressure(stamp, done.line_pressure)
         for demand in self._demands:
             demand.publish(line)
         for inlet, pressure in zip(self._inlets, done.tank_pressures, strict=True):
             if inlet is not None:
-                inlet.publish(_pressure(stamp, pressure))
+                inlet.publish(self._messages.pressure(stamp, pressure))
         with self._commanding:
             for voltage, volts in zip(self._voltages, done.volts, strict=True) if not self._is_off else ():
                 voltage.publish(Float64(data=volts))
         self._line.publish(line)
-        self._vehicle.publish(_pressure(stamp, done.vehicle_pressure))
-
-
-def _pressure(stamp: int, pressure: float) -> FluidPressure:
-    message = FluidPressure(fluid_pressure=pressure)
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, NANOSECONDS)
-    return message
+        self._vehicle.publish(self._messages.pressure(stamp, done.vehicle_pressure))

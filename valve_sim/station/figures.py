@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Mapping, Sequence
 from datetime import datetime, timezone
 from typing import Any, Final, Literal, NamedTuple
 
 from valve_sim.model.errors import ValveError
+from valve_sim.nodes.valve_parameters import unit_of
 
 Kind = Literal["Double", "Int32", "Boolean", "String"]
 Values = dict[str, object]
@@ -42,6 +44,11 @@ class Figure(NamedTuple):
     def name(self) -> str:
         """Its name within the group."""
         return self.path.partition(".")[2]
+
+    @property
+    def column(self) -> str:
+        """How monitors and the archive call it: Stroke.T1StandardError is t1_stderr."""
+        return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", self.name).lower().replace("standard_error", "stderr")
 
 
 FIGURES: Final = (
@@ -122,6 +129,11 @@ def utc(seconds: float) -> datetime:
     return datetime.fromtimestamp(seconds, timezone.utc)
 
 
+def shown(group: str, told: Mapping[str, object]) -> Values:
+    """The figures of a group by path, of what was told by column."""
+    return {figure.path: told.get(figure.column) for figure in FIGURES if figure.group == group}
+
+
 def stroke_report(text: str) -> Report:
     """What a monitor's ~/stroke_report says.
 
@@ -129,34 +141,21 @@ def stroke_report(text: str) -> Report:
         ValveError: it is no such report.
     """
     found = _read(text, "valve_sim/stroke/1")
-    alarm, damping = _mapping(found.get("alarm")), _mapping(found.get("damping"))
-    scores = _mapping(found.get("scores"))
-    values: Values = {
-        "Stroke.Number": found["stroke"],
-        "Stroke.State": found.get("state"),
-        "Stroke.Residual": _scaled(found.get("residual_rms_um"), 1e-6),
-        "Stroke.CurrentResidual": _scaled(found.get("residual_rms_ma"), 1e-3),
-        "Stroke.Score": alarm.get("sum"),
-        "Stroke.Threshold": alarm.get("threshold"),
-        "Stroke.Cause": alarm.get("cause") or "",
-        "Stroke.ScoreNames": [str(name) for name in scores],
-        "Stroke.Scores": [math.nan if score is None else float(score) for score in scores.values()],
+    alarm, scores = _mapping(found.get("alarm")), _mapping(found.get("scores"))
+    told = {
+        **found,
+        "number": found["stroke"],
+        "residual": _scaled(found.get("residual_rms_um"), 1e-6),
+        "current_residual": _scaled(found.get("residual_rms_ma"), 1e-3),
+        "score": alarm.get("sum"),
+        "threshold": alarm.get("threshold"),
+        "cause": alarm.get("cause") or "",
+        "score_names": [str(name) for name in scores],
+        "scores": [math.nan if score is None else float(score) for score in scores.values()],
     }
-    for name, key in (
-        ("OpeningDelay", "opening_delay"),
-        ("T1", "t1"),
-        ("T1StandardError", "t1_stderr"),
-        ("T2", "t2"),
-        ("T2StandardError", "t2_stderr"),
-        ("ClosingTime", "closing_time"),
-        ("ClosingTimeStandardError", "closing_time_stderr"),
-    ):
-        values[f"Stroke.{name}"] = found.get(key)
-    for name, key in (("PilotDamping", "pilot_damping"), ("MainDamping", "main_damping")):
-        interval = _mapping(damping.get(key))
-        values[f"Stroke.{name}"] = interval.get("value")
-        values[f"Stroke.{name}StandardError"] = interval.get("stderr")
-    return Report(found["valve"], utc(found["time"]), values)
+    for name, interval in _mapping(found.get("damping")).items():
+        told[name], told[f"{name}_stderr"] = (_mapping(interval).get(key) for key in ("value", "stderr"))
+    return Report(found["valve"], utc(found["time"]), shown("Stroke", told))
 
 
 def finding_report(summary: str, found: Mapping[str, str]) -> Report:
@@ -170,18 +169,18 @@ def finding_report(summary: str, found: Mapping[str, str]) -> Report:
     """
     name = next((key for key in found if key.startswith("parameters.") and key.endswith(".value")), "")
     name = name.removeprefix("parameters.").removesuffix(".value")
-    values: Values = {
-        "Finding.Effect": found.get("effects") or found.get("kind"),
-        "Finding.Parameter": name,
-        "Finding.Value": _number(found, f"parameters.{name}.value"),
-        "Finding.StandardError": _number(found, f"parameters.{name}.stderr"),
-        "Finding.Unit": unit_of(name),
-        "Finding.Probability": _number(found, "probability"),
-        "Finding.Summary": summary,
-    }
     try:
-        values["Finding.Stroke"] = int(found["stroke"])
-        return Report(found["valve"], utc(float(found["time"])), values)
+        told = {
+            "effect": found.get("effects") or found.get("kind"),
+            "parameter": name,
+            "value": _number(found, f"parameters.{name}.value"),
+            "stderr": _number(found, f"parameters.{name}.stderr"),
+            "unit": unit_of(name),
+            "probability": _number(found, "probability"),
+            "stroke": int(found["stroke"]),
+            "summary": summary,
+        }
+        return Report(found["valve"], utc(float(found["time"])), shown("Finding", told))
     except (KeyError, ValueError) as error:
         raise ValveError(f"found {dict(found)!r:.60}, expected a finding of a monitor: {error!r}") from error
 
@@ -191,20 +190,6 @@ def _number(found: Mapping[str, str], key: str) -> float | None:
         return float(found[key])
     except (KeyError, ValueError):
         return None
-
-
-def unit_of(parameter: str) -> str:
-    """The SI unit of a parameter as findings name it, such as coulomb_friction.force; empty where it has none."""
-    from valve_sim.model import CATALOGUE, DECLARED
-    from valve_sim.model.gas.parameters import GAS
-
-    group, _, name = parameter.rpartition(".")
-    if group in CATALOGUE:
-        entries = {entry.name: entry for entry in CATALOGUE[group].parameters}
-    else:
-        entries = GAS if group == "gas" else DECLARED
-    unit = entries[name].unit if name in entries else ""
-    return "" if unit == "–" else unit
 
 
 def worst(statuses: Sequence[tuple[int, str, str]]) -> tuple[int, str]:

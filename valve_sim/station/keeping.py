@@ -4,41 +4,11 @@ from __future__ import annotations
 
 import math
 from datetime import datetime
-from typing import Any, Final
+from typing import Final
 
 from valve_sim.model.errors import ValveError
-from valve_sim.records.archive import Archive
-from valve_sim.station.figures import Report
-
-_STROKES: Final = {
-    "Stroke.Number": "number",
-    "Stroke.State": "state",
-    "Stroke.OpeningDelay": "opening_delay",
-    "Stroke.T1": "t1",
-    "Stroke.T1StandardError": "t1_stderr",
-    "Stroke.T2": "t2",
-    "Stroke.T2StandardError": "t2_stderr",
-    "Stroke.ClosingTime": "closing_time",
-    "Stroke.ClosingTimeStandardError": "closing_time_stderr",
-    "Stroke.PilotDamping": "pilot_damping",
-    "Stroke.PilotDampingStandardError": "pilot_damping_stderr",
-    "Stroke.MainDamping": "main_damping",
-    "Stroke.MainDampingStandardError": "main_damping_stderr",
-    "Stroke.Residual": "residual",
-    "Stroke.Score": "score",
-    "Stroke.Threshold": "threshold",
-    "Stroke.Cause": "cause",
-}
-_FINDINGS: Final = {
-    "Finding.Stroke": "stroke",
-    "Finding.Effect": "effect",
-    "Finding.Parameter": "parameter",
-    "Finding.Value": "value",
-    "Finding.StandardError": "stderr",
-    "Finding.Unit": "unit",
-    "Finding.Probability": "probability",
-    "Finding.Summary": "summary",
-}
+from valve_sim.records.archive import COLUMNS, Archive, Kind
+from valve_sim.station.figures import FIGURES, Report, Values
 
 SERVICE: Final = "service"
 """The class of a row of alarms that says that a person has serviced the valve."""
@@ -67,10 +37,10 @@ class Keeper:
         if "Stroke.Number" in values:
             before = self.strokes_since_service(report.valve)
             self._since_service[report.valve] = None if before is None else before + 1
-            self._archive.add("strokes", report.valve, report.time, _row(values, _STROKES), now)
+            self._archive.add("strokes", report.valve, report.time, _row("strokes", "Stroke", values), now)
         if "Finding.Summary" in values and self._findings.get(report.valve) != values["Finding.Summary"]:
             self._findings[report.valve] = str(values["Finding.Summary"])
-            self._archive.add("findings", report.valve, report.time, _row(values, _FINDINGS), now)
+            self._archive.add("findings", report.valve, report.time, _row("findings", "Finding", values), now)
         for group in _CLASSES:
             level = values.get(f"{group}.Level")
             if isinstance(level, int) and self._levels.get((report.valve, group), 0) != level:
@@ -117,6 +87,11 @@ class Keeper:
         self._archive.add("alarms", valve, at, row, now)
 
 
-def _row(values: dict[str, object], columns: dict[str, str]) -> dict[str, Any]:
-    found = {column: values.get(path) for path, column in columns.items()}
-    return {name: None if isinstance(value, float) and math.isnan(value) else value for name, value in found.items()}
+def _row(kind: Kind, group: str, values: Values) -> dict[str, object]:
+    """The figures of a group for which the archive has a column; null for what is not known."""
+    row = {figure.column: values.get(figure.path) for figure in FIGURES if figure.group == group}
+    return {
+        column: None if isinstance(value, float) and math.isnan(value) else value
+        for column, value in row.items()
+        if column in COLUMNS[kind]
+    }

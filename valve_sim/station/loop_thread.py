@@ -8,6 +8,8 @@ import threading
 from collections.abc import Coroutine
 from typing import Any, Protocol
 
+from valve_sim.nodes.threads import Fail
+
 
 class Served(Protocol):
     """A server, or a client that polls, in the event loop that started it."""
@@ -24,10 +26,11 @@ class LoopThread:
 
     Args:
         name: of the thread. served: is started and stopped in it.
+        fail: is told, in the thread, what went wrong in what was done there after the start.
     """
 
-    def __init__(self, name: str, served: Served) -> None:
-        self._served = served
+    def __init__(self, name: str, served: Served, fail: Fail = lambda error: None) -> None:
+        self._served, self._fail = served, fail
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever, name=name, daemon=True)
 
@@ -38,10 +41,20 @@ class LoopThread:
             ValveError: it cannot begin.
         """
         self._thread.start()
-        self.run(self._served.start()).result()
+        self._run(self._served.start()).result()
 
-    def run(self, work: Coroutine[Any, Any, None]) -> concurrent.futures.Future[None]:
+    def do(self, work: Coroutine[Any, Any, None]) -> None:
         """Have something done in the thread, soon."""
+
+        async def watched() -> None:
+            try:
+                await work
+            except Exception as error:
+                self._fail(error)
+
+        self._run(watched())
+
+    def _run(self, work: Coroutine[Any, Any, None]) -> concurrent.futures.Future[None]:
         return asyncio.run_coroutine_threadsafe(work, self._loop)
 
     def stop(self, timeout: float) -> bool:
@@ -49,7 +62,7 @@ class LoopThread:
         if not self._thread.is_alive():
             return True
         try:
-            self.run(self._served.stop()).result(timeout)
+            self._run(self._served.stop()).result(timeout)
         except concurrent.futures.TimeoutError:
             return False
         self._loop.call_soon_threadsafe(self._loop.stop)

@@ -15,8 +15,10 @@ from pymodbus.server import ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
 from valve_sim.model.errors import ValveError
-from valve_sim.station.loop_thread import LoopThread
 from valve_sim.station.plc import COMMANDS, SPACING, STATUS, PlcStation, RefusedError
+
+# pymodbus logs each broken frame, which anybody on the network can send by the thousand.
+logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
 
 _READS, _WRITES = (3, 4), (6, 16)
 _STATUS_COUNT: Final = 8
@@ -142,12 +144,3 @@ class PlcClient:
             done = await client.write_registers(self._first + base + STATUS, status, device_id=self._unit)
             if done.isError():
                 raise ModbusException(f"register {self._first + base + STATUS} cannot be written: {done}")
-
-
-class ModbusThread(LoopThread):
-    """A server or client in a thread of its own, for callers that have no event loop."""
-
-    def __init__(self, side: PlcServer | PlcClient) -> None:
-        # pymodbus logs each broken frame, which anybody on the network can send by the thousand.
-        logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
-        super().__init__("modbus", side)

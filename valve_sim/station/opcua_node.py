@@ -17,14 +17,15 @@ from std_srvs.srv import Trigger
 from valve_sim.files.parameter_sections import Section
 from valve_sim.model.errors import ValveError
 from valve_sim.nodes.diagnostics import Level, Status
-from valve_sim.nodes.messages import diagnostic_array
 from valve_sim.nodes.realtime import NANOSECONDS
 from valve_sim.nodes.threads import Repeating
-from valve_sim.nodes.wiring import Interface, RosNode, declared, full_name
+from valve_sim.nodes.wiring import RosNode
 from valve_sim.station.alarms import Alarm
+from valve_sim.station.figures import Report
 from valve_sim.station.hearing import StationEar
-from valve_sim.station.opcua_server import ServedValve, ServerThread, Settings, StationServer
-from valve_sim.station.tables import OPCUA, OPCUA_TOPICS, OpcUaSettings, opcua_settings
+from valve_sim.station.loop_thread import LoopThread
+from valve_sim.station.opcua_server import ServedValve, StationServer
+from valve_sim.station.tables import OPCUA_TOPICS, OpcUaSettings
 
 _PERIOD: Final = 0.1
 """s between looks at what was heard."""
@@ -32,45 +33,43 @@ _ANSWER_SECONDS: Final = 10.0
 """s that a service may take to answer."""
 
 
-class OpcUaNode(RosNode):
+class OpcUaNode(RosNode[OpcUaSettings]):
     """The node `opcua`, with the topics `tables.OPCUA_TOPICS` of each of `valves` and `monitors`.
 
-    Services called: <monitor>/recommission, <valve>/self_test. Parameters: `tables.OPCUA`; they are read once, at the
-    start.
-
-    Args:
-        sections: (file, section) of the parameter files on the command line.
+    Services called: <monitor>/recommission, <valve>/self_test. Parameters: `tables.OpcUaSettings`; they are read once,
+    at the start.
 
     Raises:
         ValveError: a parameter cannot be used, or the server cannot start.
     """
 
     def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
-        super().__init__("opcua")
-        settings: OpcUaSettings = declared(self._node, sections, OPCUA, opcua_settings)
-        valves = [full_name(self._node, name, "valves") for name in settings.valves]
-        monitors = [full_name(self._node, name, "monitors") for name in settings.monitors]
+        super().__init__("opcua", sections, OpcUaSettings, OPCUA_TOPICS)
+        settings, valves, monitors = self._settings, self._full_names("valves"), self._full_names("monitors")
         self._services: dict[tuple[str, str], Any] = {}
         for valve, monitor in zip(valves, monitors, strict=True):
             self._services["recommission", valve] = self._node.create_client(Trigger, f"{monitor}/recommission")
             self._services["self_test", valve] = self._node.create_client(Trigger, f"{valve}/self_test")
-        folder = Path(settings.folder).expanduser()
         served = [ServedValve(*one) for one in zip(valves, settings.serial_numbers, strict=True)]
         server = StationServer(
-            Settings(folder, settings.address, settings.port, settings.anonymous_read, settings.history_days),
+            settings,
             served,
             recommission=partial(self._call, "recommission"),
             self_test=partial(self._call, "self_test"),
             told=self._tell,
         )
-        interface = Interface(self._node, OPCUA_TOPICS)
-        self._alarms = interface.publisher("~/alarms")
-        thread = ServerThread(server, self._fail)
+        self._alarms = self._interface.publisher("~/alarms")
+        thread = LoopThread("opcua", server, self._fail)
         thread.start()
-        ear = StationEar(self._node, self._clock, interface, valves, monitors, thread.put, is_live=True)
+
+        def show(report: Report) -> None:
+            thread.do(server.put(report))
+
+        ear = StationEar(self._node, self._clock, self._interface, valves, monitors, show, is_live=True)
         hearing = Repeating("hearing", ear.look, lambda: _PERIOD, self._fail)
         hearing.start()
         self._threads += (hearing, thread)
+        folder = Path(settings.folder).expanduser()
         self._node.get_logger().info(
             f"ready: {server.endpoint}, {len(served)} valves; clients connect whose certificates are in "
             f"{folder / 'trusted'}; those of others are kept in {folder / 'rejected'}"
@@ -88,8 +87,7 @@ class OpcUaNode(RosNode):
         }
         status = Status(valve.lstrip("/"), Level(alarm.level), words, values)
         if self._node.context.ok():
-            name = self._node.get_fully_qualified_name()
-            self._alarms.publish(diagnostic_array([status], name, round(alarm.time * NANOSECONDS)))
+            self._alarms.publish(self._diagnostics([status], round(alarm.time * NANOSECONDS)))
 
     async def _call(self, name: str, valve: str) -> tuple[bool, str]:
         client = self._services[name, valve]

@@ -26,35 +26,35 @@ from valve_sim.files.whole_files import atomic_write
 from valve_sim.model.errors import ValveError
 from valve_sim.station.alarms import SEVERITIES, Alarm, Refusal, Shelving, load_alarms, save_alarms
 from valve_sim.station.figures import BY_PATH, FIGURES, Figure, Report, unit_id, unit_words, utc
-from valve_sim.station.loop_thread import LoopThread
 from valve_sim.station.opcua_history import History
 from valve_sim.station.opcua_security import Gate, NamingServer, Rules, caller, ensure_identity
+from valve_sim.station.tables import OpcUaSettings
 
 NAMESPACE: Final = "urn:valve_sim:station"
 """The namespace of all nodes of this server."""
 _UNITS: Final = "http://www.opcfoundation.org/UA/units/un/cefact"
-_REFUSALS: Final = {
-    Refusal.UNKNOWN_EVENT: ua.StatusCodes.BadEventIdUnknown,
-    Refusal.ALREADY_ACKNOWLEDGED: ua.StatusCodes.BadConditionBranchAlreadyAcked,
-    Refusal.NOT_ACKNOWLEDGED: ua.StatusCodes.BadInvalidState,
-    Refusal.ALREADY_CONFIRMED: ua.StatusCodes.BadConditionBranchAlreadyConfirmed,
-    Refusal.ALREADY_SHELVED: ua.StatusCodes.BadConditionAlreadyShelved,
-    Refusal.NOT_SHELVED: ua.StatusCodes.BadConditionNotShelved,
-    Refusal.TIME_OUT_OF_RANGE: ua.StatusCodes.BadShelvingTimeOutOfRange,
+
+
+class _Method(NamedTuple):
+    """A method by which a person changes an alarm.
+
+    Attributes:
+        of_type: the node of this method in the alarm's type, which clients call, too. done: what has been done.
+    """
+
+    of_type: int
+    done: str
+
+
+_METHODS: Final = {
+    "Alarm.Acknowledge": _Method(9111, "acknowledged"),
+    "Alarm.Confirm": _Method(9113, "confirmed"),
+    "Alarm.AddComment": _Method(9029, "commented"),
+    "Alarm.ShelvingState.TimedShelve": _Method(2949, "shelved for a time"),
+    "Alarm.ShelvingState.OneShotShelve": _Method(2948, "shelved until it is inactive"),
+    "Alarm.ShelvingState.Unshelve": _Method(2947, "taken from the shelf"),
 }
-_ANSWERS: Final = {"Acknowledge": 9111, "Confirm": 9113, "AddComment": 9029}
-"""Methods by which a person answers an alarm, and the node of each in the alarm's type, which clients call, too."""
-_SHELVES: Final = {"TimedShelve": 2949, "OneShotShelve": 2948, "Unshelve": 2947}
-"""Methods by which a person shelves an alarm, as `_ANSWERS`."""
-_DONE: Final = {
-    "Acknowledge": "acknowledged",
-    "Confirm": "confirmed",
-    "AddComment": "commented",
-    "TimedShelve": "shelved for a time",
-    "OneShotShelve": "shelved until it is inactive",
-    "Unshelve": "taken from the shelf",
-}
-"""What a person has done by each method, in words."""
+"""By the path from a valve."""
 _SHELVED: Final = {
     Shelving.UNSHELVED: ("Unshelved", 2930),
     Shelving.TIMED: ("TimedShelved", 2932),
@@ -82,40 +82,24 @@ class ServedValve(NamedTuple):
         return self.name.lstrip("/")
 
 
-class Settings(NamedTuple):
-    """How the server is reached, and what it keeps.
-
-    Attributes:
-        folder: of certificates, history and alarms. address, port: that it listens on.
-        allows_anonymous: whether clients without a certificate may read, without encryption.
-        days: of history that are kept.
-    """
-
-    folder: Path
-    address: str = "0.0.0.0"
-    port: int = 4840
-    allows_anonymous: bool = False
-    days: float = 3650.0
-
-
 class StationServer:
     """The server; every method is to be called in the event loop that started it.
 
     Args:
-        settings: how it is reached. valves: that are served.
+        settings: how it is reached, and what it keeps. valves: that are served.
         recommission, self_test: what the methods of a valve do; default: they say that nobody does it.
         told: called in the server's thread when a person has answered or shelved an alarm, or its shelving is over.
     """
 
     def __init__(
-        self, settings: Settings, valves: Sequence[ServedValve], *,
+        self, settings: OpcUaSettings, valves: Sequence[ServedValve], *,
         recommission: Action | None = None, self_test: Action | None = None,
         told: Told = lambda valve, words, alarm: None,
     ) -> None:  # fmt: skip
         self._told = told
-        self._settings, self._valves = settings, tuple(valves)
+        self._settings, self._valves, self._folder = settings, tuple(valves), Path(settings.folder).expanduser()
         self._actions = {"Recommission": recommission or _nobody, "SelfTest": self_test or _nobody}
-        self._alarms_file = settings.folder / "alarms.json"
+        self._alarms_file = self._folder / "alarms.json"
         self._index = 0
         self._alarms: dict[str, Alarm] = {}
         self._server: Any = None
@@ -128,10 +112,6 @@ class StationServer:
         """The address for clients on this machine."""
         return f"opc.tcp://{_host(self._settings.address)}:{self._settings.port}/valve_sim/"
 
-    def alarm(self, valve: str) -> Alarm:
-        """The state of a valve's alarm."""
-        return self._alarms[valve]
-
     async def start(self) -> None:
         """Make what is missing, show what was known last, and listen.
 
@@ -140,10 +120,10 @@ class StationServer:
         """
         settings = self._settings
         uri = f"{NAMESPACE}:{socket.gethostname()}"
-        identity = await asyncio.to_thread(ensure_identity, settings.folder, uri)
+        identity = await asyncio.to_thread(ensure_identity, self._folder, uri)
         kept = await asyncio.to_thread(load_alarms, self._alarms_file)
         self._alarms = {valve.name: kept.get(valve.name, Alarm()) for valve in self._valves}
-        gate = Gate(settings.folder, allows_anonymous=settings.allows_anonymous)
+        gate = Gate(self._folder, allows_anonymous=settings.anonymous_read)
         self._server = server = Server(iserver=NamingServer(user_manager=gate))
         server.iserver.bind_condition_methods = SEVERITIES[0]  # of the events before and after a refresh
         await server.init()
@@ -153,21 +133,21 @@ class StationServer:
         now = datetime.now(timezone.utc)
         await server.set_build_info("urn:valve_sim", "valve_sim", server.name, __version__, "0", now)
         policies = [ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt]
-        if settings.allows_anonymous:
+        if settings.anonymous_read:
             policies.append(ua.SecurityPolicyType.NoSecurity)
         server.set_security_policy(policies, Rules())
         server.set_identity_tokens([ua.AnonymousIdentityToken])
         server.iserver.certificate_validator = gate
         await server.load_certificate(identity.certificate)
         await server.load_private_key(identity.key)
-        self._history = History(settings.folder / "history.db", _FIELDS, settings.days)
+        self._history = History(self._folder / "history.db", _FIELDS, settings.history_days)
         server.iserver.history_manager.set_storage(self._history)
         try:
             await self._history.init()
             self._index = await server.register_namespace(NAMESPACE)
             await self._make_nodes()
             await self._history.prune(now)
-            await self._write_model(settings.folder / "valve_sim.NodeSet2.xml")
+            await self._write_model(self._folder / "valve_sim.NodeSet2.xml")
             await server.start()
         except OSError as error:
             await self._end()
@@ -322,20 +302,17 @@ class StationServer:
         await alarm.add_method(
             self._node_id(valve, "Alarm.Confirm"),
             ua.QualifiedName("Confirm", 0),
-            self._answer("Confirm"),
+            self._answer("Alarm.Confirm"),
             arguments,
             [],
         )
-        for name, of_type in _ANSWERS.items():
-            for place in (self._node_id(valve, f"Alarm.{name}"), ua.NodeId(of_type)):
-                self._server.link_method(self._server.get_node(place), self._answer(name))
         await alarm.add_object(
             self._node_id(valve, "Alarm.ShelvingState"), ua.QualifiedName("ShelvingState", 0),
             objecttype=ua.ObjectIds.ShelvedStateMachineType, instantiate_optional=False,
         )  # fmt: skip
-        for name, of_type in _SHELVES.items():
-            for place in (self._node_id(valve, f"Alarm.ShelvingState.{name}"), ua.NodeId(of_type)):
-                self._server.link_method(self._server.get_node(place), self._shelve(name))
+        for path, method in _METHODS.items():
+            for place in (self._node_id(valve, path), ua.NodeId(method.of_type)):
+                self._server.link_method(self._server.get_node(place), self._answer(path))
         await self._show(valve, self._alarms[valve.name])
 
     async def _watch_shelves(self) -> None:
@@ -361,49 +338,43 @@ class StationServer:
 
     # --- methods ---
 
+    def _served_at(self, node: Any, path: str = "") -> ServedValve | None:
+        """The valve below which a node stands at this path."""
+        return next((valve for valve in self._valves if self._node_id(valve, path) == node), None)
+
     def _act(self, name: str) -> Callable[..., Coroutine[Any, Any, Any]]:
         @uamethod
         async def act(parent: Any) -> Any:
-            valve = next((valve for valve in self._valves if self._node_id(valve) == parent), None)
-            if valve is None:
-                return ua.StatusCode(ua.StatusCodes.BadNodeIdInvalid)
-            return await self._actions[name](valve.name)
+            valve = self._served_at(parent)
+            return (
+                ua.StatusCode(ua.StatusCodes.BadNodeIdInvalid)
+                if valve is None
+                else await self._actions[name](valve.name)
+            )
 
         return act  # type: ignore[no-any-return]
 
-    def _answer(self, name: str) -> Callable[..., Coroutine[Any, Any, Any]]:
-        async def answer(parent: Any, seen: Any, comment: Any) -> Any:
-            valve = next((valve for valve in self._valves if self._node_id(valve, "Alarm") == parent), None)
+    def _answer(self, path: str) -> Callable[..., Coroutine[Any, Any, Any]]:
+        """What a client calls that changes an alarm; the change is kept before it is shown."""
+        owner, _, name = path.rpartition(".")
+
+        async def answer(parent: Any, *given: Any) -> Any:
+            valve = self._served_at(parent, owner)
             if valve is None:
                 return ua.StatusCode(ua.StatusCodes.BadNodeIdInvalid)
-            words = comment.Value.Text if comment.Value is not None else None
-            event = (seen.Value or b"").decode("ascii", "replace")
-
-            def answered(alarm: Alarm, now: float) -> Alarm | Refusal:
-                answers = {"Acknowledge": alarm.acknowledge, "Confirm": alarm.confirm, "AddComment": alarm.commented}
-                return answers[name](event, words or "", caller(), now, _new_event())
-
-            return await self._told_by_a_person(valve, _DONE[name], answered)
+            async with self._writing:
+                now = datetime.now(timezone.utc).timestamp()
+                found = _changed(self._alarms[valve.name], name, given, now)
+                if isinstance(found, Refusal):
+                    return ua.StatusCode(getattr(ua.StatusCodes, found.value))
+                try:
+                    await self._change(valve, found)
+                except ValveError:
+                    return ua.StatusCode(ua.StatusCodes.BadResourceUnavailable)
+                self._told(valve.name, f"{_METHODS[path].done} by {found.user}", found)
+            return []
 
         return answer
-
-    def _shelve(self, name: str) -> Callable[..., Coroutine[Any, Any, Any]]:
-        async def shelve(parent: Any, *given: Any) -> Any:
-            valve = next(
-                (valve for valve in self._valves if self._node_id(valve, "Alarm.ShelvingState") == parent), None
-            )
-            if valve is None:
-                return ua.StatusCode(ua.StatusCodes.BadNodeIdInvalid)
-
-            def shelved(alarm: Alarm, now: float) -> Alarm | Refusal:
-                if name == "Unshelve":
-                    return alarm.unshelve(caller(), now, _new_event())
-                seconds = 1e-3 * given[0].Value if name == "TimedShelve" else None
-                return alarm.shelve(seconds, caller(), now, _new_event())
-
-            return await self._told_by_a_person(valve, _DONE[name], shelved)
-
-        return shelve
 
     def _refresh(self) -> Callable[..., Coroutine[Any, Any, Any]]:
         """Sends a subscription every alarm that is retained, whether it listens to the server or to a valve.
@@ -429,21 +400,6 @@ class StationServer:
             return None
 
         return refresh  # type: ignore[no-any-return]
-
-    async def _told_by_a_person(
-        self, valve: ServedValve, done: str, change: Callable[[Alarm, float], Alarm | Refusal]
-    ) -> Any:
-        """What a method that changes an alarm returns; the change is kept before it is shown."""
-        async with self._writing:
-            found = change(self._alarms[valve.name], datetime.now(timezone.utc).timestamp())
-            if isinstance(found, Refusal):
-                return ua.StatusCode(_REFUSALS[found])
-            try:
-                await self._change(valve, found)
-            except ValveError:
-                return ua.StatusCode(ua.StatusCodes.BadResourceUnavailable)
-            self._told(valve.name, f"{done} by {found.user}", found)
-        return []
 
     # --- alarms ---
 
@@ -495,26 +451,19 @@ class StationServer:
             await self._history.stop()
 
 
-class ServerThread(LoopThread):
-    """A server in a thread of its own, for callers that have no event loop.
-
-    Args:
-        server: is started. fail: is told of an error after the start, in the server's thread.
-    """
-
-    def __init__(self, server: StationServer, fail: Callable[[Exception], None]) -> None:
-        super().__init__("opcua", server)
-        self._server, self._fail = server, fail
-
-    def put(self, report: Report) -> None:
-        """Hand a report over; it is shown soon."""
-        self.run(self._put(report))
-
-    async def _put(self, report: Report) -> None:
-        try:
-            await self._server.put(report)
-        except Exception as error:
-            self._fail(error)
+def _changed(alarm: Alarm, name: str, given: Sequence[Any], now: float) -> Alarm | Refusal:
+    """An alarm after a client has called a method of this name, with variants; or why that does not count."""
+    user, event = caller(), _new_event()
+    if name == "Unshelve":
+        return alarm.unshelve(user, now, event)
+    if name == "OneShotShelve":
+        return alarm.shelve(None, user, now, event)
+    if name == "TimedShelve":
+        return alarm.shelve(1e-3 * given[0].Value, user, now, event)
+    seen, comment = given
+    words = comment.Value.Text if comment.Value is not None else None
+    answer = {"Acknowledge": alarm.acknowledge, "Confirm": alarm.confirm, "AddComment": alarm.commented}[name]
+    return answer((seen.Value or b"").decode("ascii", "replace"), words or "", user, now, event)
 
 
 def _fields(alarm: Alarm) -> Mapping[str, Any]:

@@ -11,7 +11,7 @@ import math
 import struct
 import threading
 from collections.abc import Callable, Sequence
-from typing import Final, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 from valve_sim.model.errors import ValveError
 
@@ -126,14 +126,13 @@ class Coil:
         return self._command
 
 
-class _Heard:
-    """The last messages that were received of a valve."""
+class _Heard(NamedTuple):
+    """What was heard of a valve last, and when, s."""
 
-    def __init__(self) -> None:
-        self.phase: int | None = None
-        self.is_open = False
-        self.outlet_pressure = math.nan
-        self.at = -math.inf
+    phase: int | None = None
+    is_open: bool = False
+    outlet_pressure: float = math.nan
+    at: float = -math.inf
 
 
 class RefusedError(ValveError):
@@ -167,17 +166,10 @@ class PlcStation:
         """Number of registers of the map."""
         return SPACING * len(self.valves)
 
-    def hear(
-        self, valve: int, now: float, *,
-        phase: int | None = None, is_open: bool | None = None, outlet_pressure: float | None = None,
-    ) -> None:  # fmt: skip
-        """Take what was heard of a valve; None for what was not."""
+    def hear(self, valve: int, now: float, **values: Any) -> None:
+        """Take what was heard of a valve: phase, is_open or outlet_pressure; what was not heard stays."""
         with self._lock:
-            heard = self._heard[valve]
-            heard.at = now
-            heard.phase = heard.phase if phase is None else phase
-            heard.is_open = heard.is_open if is_open is None else is_open
-            heard.outlet_pressure = heard.outlet_pressure if outlet_pressure is None else outlet_pressure
+            self._heard[valve] = self._heard[valve]._replace(at=now, **values)
 
     def is_on(self, valve: int, now: float) -> bool:
         """Whether a valve's coil is to be energised."""
@@ -247,12 +239,6 @@ class PlcStation:
         return [(register, values[register.name]) for register in MAP if register.name in values]
 
 
-def pressure_of(registers: Sequence[int], *, low_word_first: bool = False) -> float:
-    """A FLOAT32 of two registers."""
-    words = list(reversed(registers)) if low_word_first else list(registers)
-    return float(struct.unpack(">f", struct.pack(">2H", *words))[0])
-
-
 def map_csv(valves: Sequence[str]) -> str:
     """The register map of some valves for the programs of a PLC: one line for each value."""
     text = io.StringIO()
@@ -261,16 +247,6 @@ def map_csv(valves: Sequence[str]) -> str:
     for place, valve in enumerate(valves):
         for register in MAP:
             address = SPACING * place + register.offset
-            writer.writerow(
-                [
-                    valve,
-                    register.name,
-                    address,
-                    40001 + address,
-                    register.kind,
-                    register.access,
-                    register.unit,
-                    register.description,
-                ]
-            )
+            where = valve, register.name, address, 40001 + address
+            writer.writerow([*where, register.kind, register.access, register.unit, register.description])
     return text.getvalue()

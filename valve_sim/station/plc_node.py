@@ -19,11 +19,12 @@ from valve_sim.files.parameter_sections import Section
 from valve_sim.files.whole_files import write_whole
 from valve_sim.nodes.realtime import Arrival
 from valve_sim.nodes.receiving import Inbox
-from valve_sim.nodes.wiring import CommandingNode, Interface, declared, full_name
+from valve_sim.nodes.wiring import CommandingNode
 from valve_sim.station.hearing import hear_live
-from valve_sim.station.modbus import ModbusThread, PlcClient, PlcServer
+from valve_sim.station.loop_thread import LoopThread
+from valve_sim.station.modbus import PlcClient, PlcServer
 from valve_sim.station.plc import PlcStation, map_csv
-from valve_sim.station.tables import PLC, PLC_TOPICS, PlcSettings, plc_settings
+from valve_sim.station.tables import PLC_TOPICS, PlcSettings
 
 _BETWEEN_COMMANDS: Final = 0.05
 """s between repetitions of a command that has not changed: a valve whose command_timeout is 0.1 s stays as it is."""
@@ -31,23 +32,19 @@ _BETWEEN_SIGNS: Final = 0.2
 """s between looks at the currents of the valves, which only tell that they live."""
 
 
-class PlcNode(CommandingNode):
+class PlcNode(CommandingNode[PlcSettings]):
     """The node `plc`, with the topics `tables.PLC_TOPICS` of each of `valves`.
 
-    Parameters: `tables.PLC`; they are read once, at the start.
-
-    Args:
-        sections: (file, section) of the parameter files on the command line.
+    Parameters: `tables.PlcSettings`; they are read once, at the start.
 
     Raises:
         ValveError: a parameter cannot be used, or the port is taken.
     """
 
     def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
-        super().__init__("plc")
-        settings: PlcSettings = declared(self._node, sections, PLC, plc_settings)
-        self._settings = settings
-        self._valves = [full_name(self._node, name, "valves") for name in settings.valves]
+        super().__init__("plc", sections, PlcSettings, PLC_TOPICS)
+        settings = self._settings
+        self._valves = self._full_names("valves")
         self._inbox, self._signs = (Inbox(self._node, self._clock) for _ in range(2))
         self._was_on = [False] * len(self._valves)
         self._station = PlcStation(
@@ -56,7 +53,7 @@ class PlcNode(CommandingNode):
         self._wire()
         if settings.map_file:
             write_whole(Path(settings.map_file).expanduser(), map_csv(self._valves))
-        side = ModbusThread(self._make_side())
+        side = LoopThread("modbus", self._make_side())
         side.start()
         self._threads.insert(0, side)
         place = f"{settings.plc_host or settings.address}:{settings.port}"
@@ -95,7 +92,7 @@ class PlcNode(CommandingNode):
         )  # fmt: skip
 
     def _wire(self) -> None:
-        interface = Interface(self._node, PLC_TOPICS)
+        interface = self._interface
         for place, valve in enumerate(self._valves):
             self._voltages.append(interface.publisher("{valve}/coil_voltage", valve=valve))
             hear_live(interface, self._inbox, self._signs, valve, partial(self._hear, place))

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Final, NamedTuple
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
 
-from valve_sim.model import Parameter, ParameterError
+from valve_sim.model import ParameterError
 from valve_sim.model.gas import FLUIDS
-from valve_sim.nodes.parameters import Words, check_given, settings_of, table_of
+from valve_sim.nodes.parameters import NodeSettings, option
 from valve_sim.nodes.topics import LATCHED, RELIABLE, Qos, Topic
 
 _DIAGNOSTICS: Final = "diagnostic_msgs/msg/DiagnosticArray"
@@ -54,186 +55,148 @@ DISPENSER_TOPICS: Final = (
 )
 
 
-class ArchiveSettings(NamedTuple):
-    """Settings of archive_node; units as in the table."""
+@dataclass(frozen=True)
+class ArchiveSettings(NodeSettings):
+    """Settings of archive_node."""
 
-    valves: tuple[str, ...] = ("valve",)
-    monitors: tuple[str, ...] = ("monitor",)
-    alarms: str = "opcua/alarms"
-    folder: str = "~/.local/share/valve_sim/archive"
-    years: float = 10.0
-    megabytes: float = 2000.0
+    program = "archive_node"
 
+    valves: tuple[str, ...] = option(
+        ("valve",), "the valves of which is kept what is said, relative to this node's namespace"
+    )
+    monitors: tuple[str, ...] = option(("monitor",), "the monitor of each valve, in the same order")
+    alarms: str = option(
+        "opcua/alarms",
+        "the topic of an opcua_node that says who has answered or shelved an alarm, relative likewise",
+    )
+    folder: str = option("~/.local/share/valve_sim/archive", "of the archive")
+    years: float = option(10.0, "that are kept", "years", 0.01, 100.0)
+    megabytes: float = option(2000.0, "beyond which the oldest months are taken out", "MB", 1.0, 1e6)
 
-ARCHIVE: Final = table_of(
-    ArchiveSettings,
-    Words("valves", "the valves of which is kept what is said, relative to this node's namespace"),
-    Words("monitors", "the monitor of each valve, in the same order"),
-    Words("alarms", "the topic of an opcua_node that says who has answered or shelved an alarm, relative likewise"),
-    Words("folder", "of the archive"),
-    Parameter("years", "years", "that are kept", 0.01, 100.0),
-    Parameter("megabytes", "MB", "beyond which the oldest months are taken out", 1.0, 1e6),
-)
-
-
-def archive_settings(given: Mapping[str, object], sources: Mapping[str, str]) -> ArchiveSettings:
-    """The settings to start with; arguments and errors as of `check_given`."""
-    settings = settings_of(ArchiveSettings, check_given(given, ARCHIVE, sources, "archive_node"))
-    _check_one_each(settings.valves, monitors=settings.monitors)
-    _check_filled(folder=settings.folder, alarms=settings.alarms)
-    return settings
+    def completed(self) -> ArchiveSettings:
+        """These settings, if there is a monitor for each valve."""
+        _check_one_each(self.valves, monitors=self.monitors)
+        _check_filled(folder=self.folder, alarms=self.alarms)
+        return self
 
 
-class OpcUaSettings(NamedTuple):
-    """Settings of opcua_node; units as in the table."""
+@dataclass(frozen=True)
+class OpcUaSettings(NodeSettings):
+    """Settings of opcua_node."""
 
-    valves: tuple[str, ...] = ("valve",)
-    monitors: tuple[str, ...] = ("monitor",)
-    serial_numbers: tuple[str, ...] = ("",)
-    folder: str = "~/.local/share/valve_sim/opcua"
-    address: str = "0.0.0.0"
-    port: int = 4840
-    anonymous_read: bool = False
-    history_days: float = 3650.0
+    program = "opcua_node"
 
+    valves: tuple[str, ...] = option(("valve",), "the valves that are served, relative to this node's namespace")
+    monitors: tuple[str, ...] = option(("monitor",), "the monitor of each valve, in the same order")
+    serial_numbers: tuple[str, ...] = option(
+        ("",), "the serial number of each valve, in the same order; left out: none is known"
+    )
+    folder: str = option("~/.local/share/valve_sim/opcua", "of certificates, history and alarms")
+    address: str = option("0.0.0.0", "that the server listens on; 0.0.0.0: all of this machine")
+    port: int = option(4840, "that the server listens on", "", 1.0, 65535.0)
+    anonymous_read: bool = option(False, "whether clients without a certificate may read, without encryption")
+    history_days: float = option(3650.0, "of history that are kept", "days", 0.01, 36500.0)
 
-OPCUA: Final = table_of(
-    OpcUaSettings,
-    Words("valves", "the valves that are served, relative to this node's namespace"),
-    Words("monitors", "the monitor of each valve, in the same order"),
-    Words("serial_numbers", "the serial number of each valve, in the same order; left out: none is known"),
-    Words("folder", "of certificates, history and alarms"),
-    Words("address", "that the server listens on; 0.0.0.0: all of this machine"),
-    Parameter("port", "", "that the server listens on", 1.0, 65535.0),
-    Words("anonymous_read", "whether clients without a certificate may read, without encryption"),
-    Parameter("history_days", "days", "of history that are kept", 0.01, 36500.0),
-)
-
-
-def opcua_settings(given: Mapping[str, object], sources: Mapping[str, str]) -> OpcUaSettings:
-    """The settings to start with; arguments and errors as of `check_given`."""
-    settings = settings_of(OpcUaSettings, check_given(given, OPCUA, sources, "opcua_node"))
-    if "serial_numbers" not in given:
-        settings = settings._replace(serial_numbers=("",) * len(settings.valves))
-    _check_one_each(settings.valves, monitors=settings.monitors, serial_numbers=settings.serial_numbers)
-    _check_filled(folder=settings.folder, address=settings.address)
-    return settings
+    def completed(self) -> OpcUaSettings:
+        """These settings, with a serial number for each valve, empty where none is given."""
+        is_known = self.serial_numbers != ("",)
+        found = self if is_known else replace(self, serial_numbers=("",) * len(self.valves))
+        _check_one_each(found.valves, monitors=found.monitors, serial_numbers=found.serial_numbers)
+        _check_filled(folder=found.folder, address=found.address)
+        return found
 
 
-class PlcSettings(NamedTuple):
-    """Settings of plc_node; units as in the table."""
+@dataclass(frozen=True)
+class PlcSettings(NodeSettings):
+    """Settings of plc_node."""
 
-    valves: tuple[str, ...] = ("valve",)
-    voltage: float = 9.0
-    watchdog: float = 0.5
-    plc_host: str = ""
-    address: str = "0.0.0.0"
-    port: int = 1502
-    first_register: int = 0
-    unit: int = 1
-    rate: float = 100.0
-    low_word_first: bool = False
-    map_file: str = ""
+    program = "plc_node"
 
-
-PLC: Final = table_of(
-    PlcSettings,
-    Words(
-        "valves",
+    valves: tuple[str, ...] = option(
+        ("valve",),
         "the valves that are commanded and heard, relative to this node's namespace, in the order of the map",
-    ),
-    Parameter("voltage", "V", "of an energised coil", 0.0, 1e4),
-    Parameter("watchdog", "s", "without another heartbeat, after which a coil is de-energised", 0.01, 60.0),
-    Words("plc_host", "the PLC's address where it is the server; empty: this node is the server, which the PLC polls"),
-    Words("address", "that this server listens on; 0.0.0.0: all of this machine"),
-    Parameter("port", "", "of this server, or of the PLC", 1.0, 65535.0),
-    Parameter("first_register", "", "of the map in a PLC that is the server, counted from 0", 0.0, 60000.0),
-    Parameter("unit", "", "identifier of a PLC that is the server", 0.0, 255.0),
-    Parameter(
-        "rate", "Hz", "of looks at the valves and the watchdogs, and of polls of a PLC that is the server", 1.0, 1000.0
-    ),
-    Words("low_word_first", "whether the second half of a FLOAT32 is in the first register"),
-    Words("map_file", "a file to which the register map is written at the start, as CSV; empty: none"),
-)
+    )
+    voltage: float = option(9.0, "of an energised coil", "V", 0.0, 1e4)
+    watchdog: float = option(0.5, "without another heartbeat, after which a coil is de-energised", "s", 0.01, 60.0)
+    plc_host: str = option(
+        "",
+        "the PLC's address where it is the server; empty: this node is the server, which the PLC polls",
+    )
+    address: str = option("0.0.0.0", "that this server listens on; 0.0.0.0: all of this machine")
+    port: int = option(1502, "of this server, or of the PLC", "", 1.0, 65535.0)
+    first_register: int = option(0, "of the map in a PLC that is the server, counted from 0", "", 0.0, 60000.0)
+    unit: int = option(1, "identifier of a PLC that is the server", "", 0.0, 255.0)
+    rate: float = option(
+        100.0,
+        "of looks at the valves and the watchdogs, and of polls of a PLC that is the server", "Hz", 1.0, 1000.0,
+    )  # fmt: skip
+    low_word_first: bool = option(False, "whether the second half of a FLOAT32 is in the first register")
+    map_file: str = option("", "a file to which the register map is written at the start, as CSV; empty: none")
 
-
-def plc_settings(given: Mapping[str, object], sources: Mapping[str, str]) -> PlcSettings:
-    """The settings to start with; arguments and errors as of `check_given`."""
-    settings = settings_of(PlcSettings, check_given(given, PLC, sources, "plc_node"))
-    _check_one_each(settings.valves)
-    _check_filled(address=settings.address)
-    return settings
-
-
-class DispenserSettings(NamedTuple):
-    """Settings of dispenser_node; units as in the table."""
-
-    valves: tuple[str, ...] = ("tank_1/valve", "tank_2/valve", "tank_3/valve")
-    tank_pressures: tuple[float, ...] = (20e6, 26e6, 32e6)
-    tank_volumes: tuple[float, ...] = (0.05, 0.05, 0.05)
-    restrictor_diameter: float = 0.06e-3
-    nozzle_diameter: float = 0.3e-3
-    discharge_coefficient: float = 0.8
-    line_volume: float = 2e-6
-    vehicle_volume: float = 10e-6
-    vehicle_pressure: float = 2e6
-    target_pressure: float = 28e6
-    least_difference: float = 1e6
-    least_flow: float = 0.0
-    least_open: float = 1.0
-    pause: float = 3.0
-    voltage: float = 9.0
-    temperature: float = 288.15
-    fluid: str = "hydrogen"
-    rate: float = 20.0
+    def completed(self) -> PlcSettings:
+        """These settings, if each valve is named once."""
+        _check_one_each(self.valves)
+        _check_filled(address=self.address)
+        return self
 
 
 _ASSUMED: Final = " (assumed)"
 """No station publishes such sizes: the defaults are a bench whose vehicle fills in ten seconds."""
-DISPENSER: Final = table_of(
-    DispenserSettings,
-    Words("valves", "the nodes that are commanded and heard, relative to this node's namespace; one for each tank"),
-    Parameter("tank_pressures", "Pa", "of each tank at the start, as its file declares it", 1e3, 2e8),
-    Parameter("tank_volumes", "m³", "of each tank" + _ASSUMED + "; 0: its pressure stays", 0.0, 1e3),
-    Parameter("restrictor_diameter", "m", "of each valve's demand orifice, as its file declares it", 1e-6, 0.1),
-    Parameter("nozzle_diameter", "m", "of the orifice between line and vehicle" + _ASSUMED, 1e-6, 0.1),
-    Parameter("discharge_coefficient", "–", "C_d, of every orifice", 0.05, 1.0),
-    Parameter("line_volume", "m³", "of the line" + _ASSUMED, 1e-9, 1e3),
-    Parameter("vehicle_volume", "m³", "of the tank that is filled" + _ASSUMED, 1e-9, 1e3),
-    Parameter(
-        "vehicle_pressure", "Pa", "with which a vehicle comes, and to which the line is vented" + _ASSUMED, 1e3, 2e8
-    ),
-    Parameter("target_pressure", "Pa", "at which a vehicle is full" + _ASSUMED, 1e3, 2e8),
-    Parameter(
-        "least_difference", "Pa", "between a valve's outlet and the line; below, the next tank" + _ASSUMED, 0.0, 2e8
-    ),
-    Parameter("least_flow", "kg/s", "from a tank; below, the next one" + _ASSUMED, 0.0, 1e3),
-    Parameter("least_open", "s", "that a valve stays open before the next: it opens late" + _ASSUMED, 0.0, 1e3),
-    Parameter("pause", "s", "between a full vehicle and the next" + _ASSUMED, 0.0, 1e6),
-    Parameter("voltage", "V", "that opens a valve", 0.0, 1e4),
-    Parameter("temperature", "K", "of all gas", 50.0, 1000.0),
-    Words("fluid", f"one of {', '.join(FLUIDS)}", tuple(FLUIDS)),
-    Parameter("rate", "Hz", "of the pressures that are published; commands are repeated as often", 1.0, 1000.0),
-)
 
 
-def dispenser_settings(given: Mapping[str, object], sources: Mapping[str, str]) -> DispenserSettings:
-    """The settings to start with; arguments and errors as of `check_given`."""
-    settings = settings_of(DispenserSettings, check_given(given, DISPENSER, sources, "dispenser_node"))
-    count = len(settings.valves)
-    for name in ("tank_pressures", "tank_volumes"):
-        if len(getattr(settings, name)) != count:
+@dataclass(frozen=True)
+class DispenserSettings(NodeSettings):
+    """Settings of dispenser_node."""
+
+    program = "dispenser_node"
+
+    valves: tuple[str, ...] = option(
+        ("tank_1/valve", "tank_2/valve", "tank_3/valve"),
+        "the nodes that are commanded and heard, relative to this node's namespace; one for each tank",
+    )
+    tank_pressures: tuple[float, ...] = option(
+        (20e6, 26e6, 32e6), "of each tank at the start, as its file declares it", "Pa", 1e3, 2e8
+    )
+    tank_volumes: tuple[float, ...] = option(
+        (0.05, 0.05, 0.05), "of each tank" + _ASSUMED + "; 0: its pressure stays", "m³", 0.0, 1e3
+    )
+    restrictor_diameter: float = option(
+        0.06e-3, "of each valve's demand orifice, as its file declares it", "m", 1e-6, 0.1
+    )
+    nozzle_diameter: float = option(0.3e-3, "of the orifice between line and vehicle" + _ASSUMED, "m", 1e-6, 0.1)
+    discharge_coefficient: float = option(0.8, "C_d, of every orifice", "–", 0.05, 1.0)
+    line_volume: float = option(2e-6, "of the line" + _ASSUMED, "m³", 1e-9, 1e3)
+    vehicle_volume: float = option(10e-6, "of the tank that is filled" + _ASSUMED, "m³", 1e-9, 1e3)
+    vehicle_pressure: float = option(
+        2e6, "with which a vehicle comes, and to which the line is vented" + _ASSUMED, "Pa", 1e3, 2e8
+    )
+    target_pressure: float = option(28e6, "at which a vehicle is full" + _ASSUMED, "Pa", 1e3, 2e8)
+    least_difference: float = option(
+        1e6, "between a valve's outlet and the line; below, the next tank" + _ASSUMED, "Pa", 0.0, 2e8
+    )
+    least_flow: float = option(0.0, "from a tank; below, the next one" + _ASSUMED, "kg/s", 0.0, 1e3)
+    least_open: float = option(1.0, "that a valve stays open before the next: it opens late" + _ASSUMED, "s", 0.0, 1e3)
+    pause: float = option(3.0, "between a full vehicle and the next" + _ASSUMED, "s", 0.0, 1e6)
+    voltage: float = option(9.0, "that opens a valve", "V", 0.0, 1e4)
+    temperature: float = option(288.15, "of all gas", "K", 50.0, 1000.0)
+    fluid: str = option("hydrogen", f"one of {', '.join(FLUIDS)}", choices=tuple(FLUIDS))
+    rate: float = option(20.0, "of the pressures that are published; commands are repeated as often", "Hz", 1.0, 1000.0)
+
+    def completed(self) -> DispenserSettings:
+        """These settings, if there is one pressure and one volume for each valve."""
+        count = len(self.valves)
+        for name in ("tank_pressures", "tank_volumes"):
+            if len(getattr(self, name)) != count:
+                raise ParameterError(
+                    f"{name}: found {len(getattr(self, name))} numbers, expected {count}, one for each of valves"
+                )
+        _check_one_each(self.valves)
+        if self.target_pressure <= self.vehicle_pressure:
             raise ParameterError(
-                f"{name}: found {len(getattr(settings, name))} numbers, expected {count}, one for each of valves"
+                f"target_pressure: found {self.target_pressure:g} Pa, expected more than vehicle_pressure, "
+                f"{self.vehicle_pressure:g} Pa"
             )
-    if len(set(settings.valves)) != count:
-        raise ParameterError(f"valves: found {', '.join(settings.valves)}, expected each valve once")
-    if settings.target_pressure <= settings.vehicle_pressure:
-        raise ParameterError(
-            f"target_pressure: found {settings.target_pressure:g} Pa, expected more than vehicle_pressure, "
-            f"{settings.vehicle_pressure:g} Pa"
-        )
-    return settings
+        return self
 
 
 def _check_one_each(valves: Sequence[str], **lists: Sequence[str]) -> None:

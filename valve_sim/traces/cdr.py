@@ -1,8 +1,7 @@
-"""ROS 2 messages (CDR) to arrays and back, many at a time.
+"""The layout of ROS 2 messages (CDR): where in the bytes of a message each of its numbers is, by its type's definition.
 
 Messages of one topic mostly share one layout: the same lengths and names, with different numbers. So one message is
-parsed by the definition of its type, and all messages with the same bytes for lengths and names are read as columns of
-one matrix. A message that shares no layout is parsed alone, which is some hundred times slower.
+parsed, and the numbers of all that have the same bytes for lengths and names are read, or written, as columns.
 """
 
 from __future__ import annotations
@@ -11,15 +10,11 @@ import functools
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
-from valve_sim.traces.batches import SECONDS, Batch, Field, Growing, Layout
-from valve_sim.traces.clocks import SECOND
-
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping, Sequence
+    from collections.abc import Mapping
 
     from numpy.typing import NDArray
     from rosbags.typesys.store import Typestore
@@ -28,15 +23,6 @@ if TYPE_CHECKING:
 
 ENCAPSULATION_SIZE = 4
 """Bytes before the message: representation (big or little endian CDR) and options."""
-
-LARGEST_PADDING = 3
-"""A middleware may pad a message to 4 bytes; more than this after the last field is invalid."""
-
-NANOSECONDS = "header.stamp.nanosec"
-"""Beside `SECONDS`."""
-
-MOST_LAYOUTS = 16
-"""Layouts tried on all messages of one length before the rest is read one by one (bounds the work on bad data)."""
 
 _BASE_TYPES = {
     "bool": "u1",
@@ -62,16 +48,38 @@ def typestore() -> Typestore:
     return get_typestore(Stores.ROS2_JAZZY)
 
 
+def full_type(message_type: str) -> str:
+    """Return the type with its "msg" part, which some recorders leave out."""
+    package, _, name = message_type.rpartition("/")
+    return message_type if "/" in package else f"{package}/msg/{name}"
+
+
+class Field(NamedTuple):
+    """Where the numbers of one field are: `size` values of NumPy type `dtype` from byte `offset`."""
+
+    offset: int
+    dtype: str
+    size: int
+
+
+class Layout(NamedTuple):
+    """The shape of one message.
+
+    Attributes:
+        fields: Dotted path ("header.stamp.sec") to the place of its numbers.
+        texts: Dotted path to its strings.
+        fixed: Byte ranges [start, stop) that another message must share to have this layout: lengths and names.
+        end: Where the last field ends; bytes beyond are padding, or invalid.
+    """
+
+    fields: Mapping[str, Field]
+    texts: Mapping[str, tuple[str, ...]]
+    fixed: tuple[tuple[int, int], ...]
+    end: int
+
+
 class MalformedMessage(Exception):  # noqa: N818 -- internal: it is counted, not shown
     """These bytes are not a message of this type."""
-
-
-class Decoded(NamedTuple):
-    """All messages of a topic: batches that could be read, how many could not, how many had bytes to trim."""
-
-    batches: tuple[Batch, ...]
-    malformed: int
-    trimmed: int
 
 
 class _Walker:
@@ -168,144 +176,6 @@ def find_layout(payload: bytes, message_type: str, definitions: Definitions | No
     walker = _Walker(payload, typestore().fielddefs if definitions is None else definitions)
     walker.walk(message_type)
     return walker.layout()
-
-
-class Decoder:
-    """Reads the messages of one topic as they arrive, many at a time, and keeps only their numbers.
-
-    Args:
-        message_type: Their type.
-        definitions: Of that type and those in it; None: those of `typestore`.
-        keep: Dotted paths of the fields to keep beside the header's stamp; None: all.
-    """
-
-    def __init__(
-        self, message_type: str, definitions: Definitions | None = None, keep: Collection[str] | None = None
-    ) -> None:
-        self.message_type = message_type
-        self.keep = keep
-        self.definitions = typestore().fielddefs if definitions is None else definitions
-        self.count = 0
-        self._malformed = self._trimmed = 0
-        self._grown: dict[bytes, Growing] = {}
-
-    def take(self, raw: NDArray[np.uint8], starts: NDArray[np.int64], stops: NDArray[np.int64]) -> None:
-        """Read messages out of a block of bytes.
-
-        Args:
-            raw: The block.
-            starts, stops: Where in it each message lies, shape (n,).
-        """
-        lengths = stops - starts
-        is_one = len(lengths) > 0 and bool((lengths == lengths[0]).all())
-        for length in (lengths[:1] if is_one else np.unique(lengths)).tolist():
-            index = np.flatnonzero(lengths == length)
-            if length == 0:
-                self._malformed += len(index)
-                continue
-            matrix = sliding_window_view(raw, length)[starts[index]]
-            for rows in _split_by_layout(matrix, index, self.message_type, self.definitions):
-                if rows is None:
-                    self._malformed += 1
-                    continue
-                if length - rows.layout.end > LARGEST_PADDING:
-                    self._trimmed += len(rows.places)
-                grown = self._grown.setdefault(rows.kind(), Growing(rows.layout))
-                grown.extend(rows.places + self.count, rows.columns(self.keep), rows.stamps())
-        self.count += len(starts)
-
-    def take_messages(self, payloads: Sequence[bytes]) -> None:
-        """Read messages, each in bytes of its own."""
-        stops = np.cumsum(np.fromiter(map(len, payloads), dtype=np.int64, count=len(payloads)))
-        raw = np.frombuffer(b"".join(payloads), np.uint8)
-        self.take(raw, np.concatenate([np.zeros(1, np.int64), stops[:-1]])[: len(stops)], stops)
-
-    def absorb(self, later: Decoder) -> None:
-        """Add what another decoder of the same topic has read after this one, which then holds nothing."""
-        while later._grown:
-            kind, grown = later._grown.popitem()
-            if kind in self._grown:
-                self._grown[kind].absorb(grown, self.count)
-            else:
-                self._grown[kind] = grown.moved(self.count)
-        self._malformed += later._malformed
-        self._trimmed += later._trimmed
-        self.count += later.count
-
-    def decoded(self) -> Decoded:
-        """Return all that was read."""
-        return Decoded(tuple(grown.batch() for grown in self._grown.values()), self._malformed, self._trimmed)
-
-
-class _Rows(NamedTuple):
-    """Messages of one layout: `places` (n,) in their block, `matrix` (n, length) their raw bytes."""
-
-    places: NDArray[np.intp]
-    layout: Layout
-    matrix: NDArray[np.uint8]
-
-    def columns(self, keep: Collection[str] | None) -> dict[str, NDArray[Any]]:
-        """Return the numbers of the fields to keep, shape (n, size)."""
-        found = {}
-        for path, field in self.layout.fields.items():
-            if keep is None or path in keep:
-                found[path] = self.numbers(field)
-        return found
-
-    def numbers(self, field: Field) -> NDArray[Any]:
-        """Return those of one field, shape (n, size)."""
-        stop = field.offset + field.size * np.dtype(field.dtype).itemsize
-        raw = np.ascontiguousarray(self.matrix[:, field.offset : stop])
-        return raw.view(field.dtype) if field.size else np.empty((len(raw), 0), field.dtype)
-
-    def stamps(self) -> NDArray[np.int64] | None:
-        """Return the stamps of the messages' headers, ns, shape (n,); None where they have none."""
-        fields = self.layout.fields
-        if SECONDS not in fields:
-            return None
-        seconds, nanoseconds = self.numbers(fields[SECONDS])[:, 0], self.numbers(fields[NANOSECONDS])[:, 0]
-        return np.asarray(seconds.astype(np.int64) * SECOND + nanoseconds.astype(np.int64))
-
-    def kind(self) -> bytes:
-        """Return what distinguishes this layout from others: its lengths and names, and its end."""
-        fixed = b"".join(self.matrix[0, start:stop].tobytes() for start, stop in self.layout.fixed)
-        return self.layout.end.to_bytes(8, "little") + fixed
-
-
-def _split_by_layout(
-    matrix: NDArray[np.uint8], index: NDArray[np.intp], message_type: str, definitions: Definitions
-) -> Iterator[_Rows | None]:
-    """Yield messages that share a layout; None for each message that cannot be read."""
-    layouts = 0
-    while len(index):
-        try:
-            layout = find_layout(matrix[0].tobytes(), message_type, definitions)
-        except MalformedMessage:
-            yield None
-            matrix, index = matrix[1:], index[1:]
-            continue
-        layouts += 1
-        same = np.zeros(len(index), dtype=bool)
-        same[0] = True
-        if layouts <= MOST_LAYOUTS:
-            same = _same_layout(matrix, layout)
-        if same.all():
-            yield _Rows(index, layout, matrix)
-            return
-        yield _Rows(index[same], layout, matrix[same])
-        # A message parsed alone is dropped from the front as a view; copying the rest each time would be quadratic.
-        only_first = layouts > MOST_LAYOUTS
-        matrix, index = (matrix[1:], index[1:]) if only_first else (matrix[~same], index[~same])
-
-
-def _same_layout(matrix: NDArray[np.uint8], layout: Layout) -> NDArray[np.bool_]:
-    is_fixed = np.zeros(matrix.shape[1], dtype=bool)
-    for start, stop in layout.fixed:
-        is_fixed[start:stop] = True
-    differs = matrix != matrix[0]
-    differs &= is_fixed
-    # Mostly none does, which all bytes in a row say sooner than those of each message.
-    return ~differs.any(axis=1) if differs.any() else np.ones(len(matrix), dtype=bool)
 
 
 def encode_messages(

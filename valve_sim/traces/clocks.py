@@ -81,7 +81,7 @@ def order_samples(stamps: Stamps, delays: Delays, values: Sequence[NDArray[np.fl
 
 def _jumps_forward(delays: Delays, own: slice = slice(None)) -> NDArray[np.bool_]:
     """Return after which samples the stamps step forward more than bag time, and so the delay falls."""
-    jumps: NDArray[np.bool_] = np.subtract(delays[:-1][own], delays[1:][own], dtype=np.int64) > FORWARD_JUMP
+    jumps: NDArray[np.bool_] = delays[:-1][own] - delays[1:][own] > FORWARD_JUMP
     return jumps
 
 
@@ -98,9 +98,8 @@ def _without_foreign(
 
     Returns the rest, and its lead as in `Ordered`: many such stamps mean that the clock was set while recording.
     """
-    delay = delays.astype(np.int64)
-    usual = np.sort(delay)[(len(delay) - 1) // 2]
-    foreign = np.abs(delay - usual) > np.ptp(stamps + delay) + SECOND
+    usual = np.sort(delays)[(len(delays) - 1) // 2]
+    foreign = np.abs(delays - usual) > np.ptp(stamps + delays) + SECOND
     if not foreign.any():
         return index, 0
     first = stamps[np.argmax(foreign)] / SECOND
@@ -108,7 +107,7 @@ def _without_foreign(
         f"{topic}: dropped {foreign.sum()} of {len(stamps)} samples whose stamps are of another time "
         f"(first: {first:.3f} s)"
     )
-    other = int(np.median(delay[foreign]))
+    other = int(np.median(delays[foreign]))
     was_set = foreign.sum() >= JUMP_RUN and abs(other) < abs(int(usual))
     return index[~foreign[index]], other - int(usual) if was_set else 0
 
@@ -199,8 +198,7 @@ def clock_offset(delays: Delays, topic: str) -> tuple[int, tuple[str, ...]]:
         delays: What bag times are after the stamps, ns, shape (n,).
         topic: For what is said.
     """
-    is_constant = not any(delays.strides)  # one number stands for all
-    delay = int(np.median(delays[:1] if is_constant else delays))
+    delay = int(np.median(delays))
     if abs(delay) > DAY:
         return delay, (
             f"{topic}: stamps and bag times are of two clocks, {delay / SECOND:.3f} s apart (median): commands and "

@@ -4,23 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.files.data_tables import TABLE_SUFFIXES, DataTable, open_table
 from valve_sim.files.entries import Entries, short
-from valve_sim.files.recording_map import CLOCKS, Source
-from valve_sim.model.core.own.units import parse_unit
+from valve_sim.files.recording_map import CLOCKS, Source, time_axis
 from valve_sim.traces.clocks import SECOND
 from valve_sim.traces.errors import TraceError
-from valve_sim.traces.message_fields import missing_field, stamps_of, values_of
 from valve_sim.traces.storage import Recording, read_recording
 
 Array = NDArray[np.float64]
 
-TIME_KEYS: Final = ("column", "unit", "rate")
 FEWEST: Final = 3
 """Samples of different times, of which a quantity has at least so many."""
 
@@ -33,23 +30,9 @@ class Series(NamedTuple):
     readings: Array
 
 
-class ColumnSource(Protocol):
-    """A recording out of which a map's entries are read.
-
-    Attributes:
-        keys: of an entry, that say where its numbers are. findings: what was dropped, a line each.
-    """
-
-    keys: Sequence[str]
-    findings: list[str]
-
-    def series(self, key: str, entry: Mapping[str, Any]) -> Series:
-        """The numbers of one entry."""
-
-
 def source_of(
     path: Path, map_reader: Entries, found: Mapping[Any, Any] | None
-) -> tuple[ColumnSource, Mapping[Any, Any]]:
+) -> tuple[TableRows | BagTopics, Mapping[Any, Any]]:
     """The recording, opened, and the entries of its map.
 
     Args:
@@ -74,7 +57,11 @@ def source_of(
 
 
 class TableRows:
-    """The columns of a table, which share the times of its rows."""
+    """The columns of a table, which share the times of its rows.
+
+    Attributes:
+        keys: of an entry, that say where its numbers are. findings: what was dropped, a line each.
+    """
 
     keys: Sequence[str] = ("column",)
 
@@ -101,23 +88,10 @@ class TableRows:
         """(n,) the times of the rows that count, s, and which of the table's rows these are."""
         if found is None:
             raise self._map.fail("time", "is missing; add time: {column: t, unit: s} or time: {rate: 1000}")
-        if isinstance(found, str | int) and not isinstance(found, bool):
-            found = {"column": found}
-        if not isinstance(found, Mapping):
-            raise self._map.fail("time", f"found {short(found)}, expected {{column: t, unit: s}} or {{rate: 1000}}")
-        self._map.check_keys("time", found, TIME_KEYS)
-        if ("rate" in found) == ("column" in found):
-            raise self._map.fail("time", f"found {short(dict(found))}, expected either column: or rate:")
-        if "rate" in found:
-            rate = self._map.number("time.rate", found["rate"])
-            if rate <= 0.0:
-                raise self._map.fail("time.rate", f"found {rate:g}, expected rows a second above 0")
-            count = len(self._table.column(self._table.names[0]))
-            return np.arange(count) / rate, np.ones(count, dtype=bool)
-        unit = self._map.unit("time.unit", found.get("unit", "s"))
-        if unit.dimension != parse_unit("s").dimension:
-            raise self._map.fail("time.unit", f"found {found['unit']!r}, expected one of time: s, ms, us, min")
-        times, kept, repeated = self._table.row_times(self._named("time.column", found["column"]), unit.factor)
+        axis = time_axis(self._map, found)
+        if axis.column:
+            self._named("time.column", axis.column)
+        times, kept, repeated = self._table.row_times(axis)
         if repeated:
             self.findings.append(f"dropped {repeated} rows with the time of the row before")
         if kept.sum() < FEWEST:
@@ -128,7 +102,11 @@ class TableRows:
 
 
 class BagTopics:
-    """Fields of the messages of a bag, each at the times of its own topic, s since the first message of all."""
+    """Fields of the messages of a bag, each at the times of its own topic, s since the first message of all.
+
+    Attributes:
+        keys, findings: as of a table.
+    """
 
     keys: Sequence[str] = ("topic", "field", "joint", "clock")
 
@@ -136,8 +114,10 @@ class BagTopics:
         self._path, self._map = path, map_reader
         self._clock = map_reader.choice("clock", clock, ("", *CLOCKS))
         sources = {name: self._source(str(name), own) for name, own in entries.items()}
-        topics = frozenset(source.topic for source in sources.values())
-        self._recording: Recording = read_recording(path, lambda types: dict.fromkeys(topics & set(types)), topics)
+        fields: dict[str, set[str]] = {}
+        for source in sources.values():
+            fields.setdefault(source.topic, set()).add(source.path)
+        self._recording: Recording = read_recording(path, lambda _: fields)
         self.findings = list(self._recording.findings)
         stamped = {name: self._stamped(str(name), source) for name, source in sources.items()}
         self._begins = min((int(stamps[0]) for stamps, _ in stamped.values()), default=0)
@@ -166,12 +146,11 @@ class BagTopics:
             raise self._map.fail(
                 f"{key}.topic", f"{topic} is not in {self._path}; it has {', '.join(sorted(types)[:20])}; name one"
             )
-        times, decoded = self._recording.decoded(self._path, topic)
-        readings, without = values_of(decoded.batches, len(times), source)
+        messages = self._recording.topic(self._path, topic)
+        readings, without = messages.values(source)
         if without is not None and np.isnan(readings).all():
-            raise self._map.fail(key, f"topic {topic} of {self._path} {missing_field(without, source)}")
-        batches = () if source.clock == "bag" else decoded.batches
-        stamps, is_stamped = stamps_of(batches, times, may_be_zero=False)
+            raise self._map.fail(key, f"topic {topic} of {self._path} {without.what_lacks(source)}")
+        stamps, _, is_stamped = messages.stamps(source.clock)
         if source.clock == "header" and not is_stamped.any():
             raise self._map.fail(
                 f"{key}.clock", f"header, but the messages of {topic} ({types[topic]}) have no stamp; use clock: bag"

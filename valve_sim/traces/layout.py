@@ -50,14 +50,11 @@ class Plan(NamedTuple):
         return next((key for key in JUDGED if key in self.sources), JUDGED[-1])
 
     @property
-    def fields(self) -> dict[str, frozenset[str] | None]:
-        """The topics to read, and the fields to keep of each; None: all."""
-        found: dict[str, frozenset[str] | None] = {log: frozenset({"voltage"}) for log in self.logs}
+    def fields(self) -> dict[str, set[str]]:
+        """The topics to read, and the fields to keep of each."""
+        found = {log: {"voltage"} for log in self.logs}
         for source in (*self.sources.values(), *self.others.values()):
-            path = source.field or ("position" if source.joint else None)
-            known = found.get(source.topic, frozenset())
-            # A place in a list ("position[0]") is kept with its list.
-            found[source.topic] = None if path is None or known is None else known | {path, path.partition("[")[0]}
+            found.setdefault(source.topic, set()).add(source.path)
         return found
 
 

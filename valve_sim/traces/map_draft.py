@@ -6,6 +6,7 @@ import re
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+import yaml
 
 from valve_sim.files.channels import CHANNELS, SIGNALS, UNITS
 from valve_sim.files.data_tables import TABLE_SUFFIXES, DataTable, open_table
@@ -44,10 +45,9 @@ class Guess(NamedTuple):
     @property
     def lines(self) -> list[str]:
         """This entry as YAML on one line, after its reasons as comments; the first of them calls it a guess."""
-        inside = ", ".join(f"{key}: {_yaml(value)}" for key, value in {**self.series.place, **self.settings}.items())
         first, *others = self.reasons
         comments = [f"# {self.quantity} is a guess: {first}", *(f"# {reason}" for reason in others)]
-        return [*comments, f"{self.quantity}: {{{inside}}}"]
+        return [*comments, f"{self.quantity}: {_yaml({**self.series.place, **self.settings})}"]
 
 
 def draft_map(path: Path, parameters: ValveParameters, command: str) -> str:
@@ -291,19 +291,11 @@ def _time_line(table: DataTable) -> tuple[list[str], list[Series]]:
         unit = next((name for name in ("s", "ms", "us", "ns") if 2e-7 < units[name].factor * step < 2e-2), "s")
         reason = "CHECK unit"
     rate = 1.0 / (units[unit].factor * step)
-    return [f"# {rate:.6g} rows a second; {reason}", f"time: {{column: {_yaml(time)}, unit: {unit}}}"], series
+    return [f"# {rate:.6g} rows a second; {reason}", f"time: {_yaml({'column': time, 'unit': unit})}"], series
 
 
-def _yaml(value: object) -> str:
-    if not isinstance(value, str):
-        return f"{value}"
-    is_plain = re.fullmatch(r"[A-Za-z_/µ][\w/.\-µ]*", value) and value.lower() not in (
-        "y",
-        "n",
-        "yes",
-        "no",
-        "on",
-        "off",
-    )
-    escaped = value.replace("\\", "\\\\").replace('"', '\\"')
-    return value if is_plain else f'"{escaped}"'
+def _yaml(entry: Mapping[str, object]) -> str:
+    """An entry of a map on one line."""
+    return yaml.safe_dump(
+        dict(entry), default_flow_style=True, sort_keys=False, allow_unicode=True, width=2**20
+    ).strip()

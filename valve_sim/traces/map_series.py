@@ -11,17 +11,17 @@ import numpy as np
 
 from valve_sim.files.recording_map import Source
 from valve_sim.signals.motion import medians_of_three
-from valve_sim.traces.message_fields import field_values, number_paths
 from valve_sim.traces.storage import read_recording
+from valve_sim.traces.topics import number_paths
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
     from pathlib import Path
 
     from numpy.typing import NDArray
 
     from valve_sim.files.data_tables import DataTable
-    from valve_sim.traces.batches import Batch
+    from valve_sim.traces.topics import Topic
 
     Array = NDArray[np.float64]
 
@@ -121,17 +121,16 @@ def bag_series(path: Path) -> list[Series]:
 
     recording = read_recording(path, select, most=MOST_MESSAGES)
     result: list[Series] = []
-    for topic in sorted(recording.topics):
-        decoded = recording.topics[topic].decoded
-        if decoded is not None and decoded.batches:
-            result += _fields(topic, decoded.batches)
+    for name, topic in sorted(recording.topics.items()):
+        if topic.batches:
+            result += _fields(name, topic)
     return result
 
 
-def _fields(topic: str, batches: Sequence[Batch]) -> list[Series]:
-    largest = max(batches, key=lambda batch: batch.size)
-    paths = [path for path in number_paths(largest) if not LEFT_OUT.search(path)]
-    names = largest.layout.texts.get("name", ())
+def _fields(topic: str, messages: Topic) -> list[Series]:
+    largest = max(messages.batches, key=lambda batch: batch.size)
+    paths = [path for path in number_paths(largest.layout) if not LEFT_OUT.search(path)]
+    names = largest.joints
     if names and "position" in largest.layout.fields:
         places = [
             {"topic": topic, "joint": joint, **({} if field == "position" else {"field": field})}
@@ -146,11 +145,7 @@ def _fields(topic: str, batches: Sequence[Batch]) -> list[Series]:
     series = []
     for place in places:
         source = Source(place["topic"], place.get("field", ""), place.get("joint", ""))
-        parts = [(batch.places, found) for batch in batches if (found := field_values(batch, source)) is not None]
-        if not parts:
-            continue
-        order = np.argsort(np.concatenate([where for where, _ in parts]), kind="stable")
-        values = np.concatenate([found for _, found in parts])[order]
+        values, _ = messages.values(source)
         values = values[np.isfinite(values)]
         if len(values) > 1:
             is_first = place.get("field", "") not in ("velocity", "effort")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from valve_sim.files.channels import CHANNELS, COIL_STATE, MAIN, PILOT, SIGNALS, Signal
-from valve_sim.files.recording_map import DeclaredSensor
+from valve_sim.files.recording_map import DeclaredSensor, Source
 from valve_sim.model.drives import Drive
 from valve_sim.signals.long_columns import any_in
 from valve_sim.signals.voltage_steps import NoStepError, find_steps
@@ -26,9 +26,8 @@ from valve_sim.traces.layout import (
     topic_of,
     valves_among,
 )
-from valve_sim.traces.message_fields import missing_field, stamps_of, values_of
 from valve_sim.traces.samples import Readings, Samples, in_order, is_broken
-from valve_sim.traces.storage import Recording, read_recording
+from valve_sim.traces.storage import read_recording
 from valve_sim.traces.table_reading import is_table, read_table_trace, standard_map
 from valve_sim.traces.trace import DriveErrors, Trace
 from valve_sim.traces.trouble import find_problems
@@ -39,11 +38,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from valve_sim.files.recording_map import RecordingMap, Source
-    from valve_sim.traces.batches import Batch
-    from valve_sim.traces.cdr import Decoded
-    from valve_sim.traces.packed_times import PackedTimes
-    from valve_sim.traces.topics import Fields
+    from valve_sim.files.recording_map import RecordingMap
+    from valve_sim.traces.storage import Fields, Recording
+    from valve_sim.traces.topics import Batch, Topic
 
 ZERO_ERROR = 10e-6
 """m: how well the zero of a sensor is known that was brought to 0 by a map's offset."""
@@ -93,15 +90,13 @@ def _read(path: Path, valve: str | None, recording_map: RecordingMap | None) -> 
             plans[:] = [mapped_plan(path, valve, recording_map, types)]
         return plans[0].fields
 
-    named = {} if recording_map is None else recording_map.choose(valve)[1]
-    recording = read_recording(path, select, frozenset(source.topic for source in named.values()))
-    return _Assembly(path, plans[0], recording).trace()
+    return _Assembly(path, read_recording(path, select), plans[0]).trace()
 
 
 class _Assembly:
     """One reading of one valve: collects findings on the way from raw topics to a trace."""
 
-    def __init__(self, path: Path, plan: Plan, recording: Recording) -> None:
+    def __init__(self, path: Path, recording: Recording, plan: Plan) -> None:
         self.path = path
         self.plan = plan
         self.recording = recording
@@ -153,49 +148,42 @@ class _Assembly:
         if self.samples_topic not in {*needed, *self.plan.logs}:
             self.recording.topics.pop(self.samples_topic)
 
-    def decoded(self, source: Source) -> tuple[PackedTimes, Decoded]:
-        """Return bag times and numbers of a topic's messages, of which at least one must be readable."""
-        topic = source.topic
-        times, decoded = self.recording.decoded(self.path, topic)
-        if topic not in self._reported:
-            self._reported.add(topic)
-            self._report(topic, decoded, len(times))
-        return times, decoded
-
-    def _report(self, topic: str, decoded: Decoded, count: int) -> None:
-        if decoded.malformed:
-            self.findings.append(f"{topic}: dropped {decoded.malformed} of {count} messages that cannot be read")
-        if decoded.trimmed:
-            self.findings.append(f"{topic}: trimmed surplus bytes after {decoded.trimmed} of {count} messages")
+    def topic(self, source: Source) -> Topic:
+        """Return the topic of a source, of which at least one message must be readable."""
+        name, topic = source.topic, self.recording.topic(self.path, source.topic)
+        if name not in self._reported:
+            self._reported.add(name)
+            if topic.malformed:
+                self.findings.append(f"{name}: dropped {topic.malformed} of {topic.size} messages that cannot be read")
+            if topic.trimmed:
+                self.findings.append(f"{name}: trimmed surplus bytes after {topic.trimmed} of {topic.size} messages")
+        return topic
 
     def readings(self, quantity: str, source: Source | None = None) -> Readings:
         """Return what one source recorded, in SI; by default the first place of the quantity."""
         source = source or self.plan.sources[quantity]
-        times, decoded = self.decoded(source)
-        values = self.values(quantity, source)
+        topic, values = self.topic(source), self.values(quantity, source)
         # Model time begins at 0, where a sample may be; in other messages, 0 means that they were not stamped.
-        batches = () if source.clock == "bag" else decoded.batches
-        stamps, is_stamped = stamps_of(batches, times, may_be_zero=quantity in POSITIONS)
-        if self.plan.map_path and source.clock == "header" and not is_stamped.any():
+        stamps = topic.stamps(source.clock, may_be_zero=quantity in POSITIONS)
+        if self.plan.map_path and source.clock == "header" and not stamps.is_stamped.any():
             raise TraceError(
                 f"{self.plan.map_path}: {quantity}: clock: header, but the messages of {source.topic} "
                 f"({self.recording.types[source.topic]}) have no stamp; use clock: bag"
             )
-        return Readings(times, stamps, is_stamped, values)
+        return Readings(*stamps, values)
 
     def values(self, quantity: str, source: Source) -> NDArray[np.float64]:
         """Return the numbers of one source alone, (n,) in SI, NaN where a message has none; not to be changed."""
-        times, decoded = self.decoded(source)
-        values, without = values_of(decoded.batches, len(times), source)
+        values, without = self.topic(source).values(source)
         if without is not None and np.isnan(values).all():
             raise TraceError(self._no_field(source, without))
         return source.to_si(values, CHANNELS[quantity].dimension)
 
     def _no_field(self, source: Source, batch: Batch) -> str:
-        found = missing_field(batch, source)
+        found = batch.what_lacks(source)
         if self.plan.map_path:
             return f"{self.plan.map_path}: topic {source.topic} of {self.path} {found}"
-        if "names" not in found or source.joint in batch.layout.texts.get("name", ()):
+        if "names" not in found or source.joint in batch.joints:
             return f"{self.path}: topic {source.topic}: no finite {source.joint} position; fill the position array"
         return f"{self.path}: topic {source.topic} {found} (and {MAIN}); name the joints so"
 
@@ -209,7 +197,7 @@ class _Assembly:
         pilot = self.readings("position")
         source = self.plan.sources.get("main_position")
         is_recorded = source is not None and source.topic == topic
-        count, delays = len(pilot.values), pilot.delays()
+        count, delays = len(pilot.values), pilot.delays
         samples = Samples(pilot.stamps, delays, pilot.values, np.broadcast_to(np.nan, count))
         if is_recorded:
             samples = samples._replace(main=self.main_beside_pilot())
@@ -271,7 +259,7 @@ class _Assembly:
             self.findings.append(
                 f"{source.topic}: dropped {(~finite).sum()} of {len(finite)} samples without a finite {what}"
             )
-        samples = Samples(found.stamps, found.delays(), found.values, np.broadcast_to(np.nan, len(finite)))
+        samples = Samples(found.stamps, found.delays, found.values, np.broadcast_to(np.nan, len(finite)))
         return samples.take(finite), "header" if found.is_stamped.any() else "bag"
 
     def main_beside_pilot(self) -> NDArray[np.float64]:
@@ -365,11 +353,10 @@ class _Assembly:
         logs = []
         for topic in self.plan.logs:
             messages = self.recording.topics.get(topic)
-            if messages is None or messages.decoded is None or not messages.decoded.batches:
+            if messages is None or not messages.batches:
                 continue
-            stamped = [(batch, batch.stamps) for batch in messages.decoded.batches if batch.stamps is not None]
-            stamps = np.concatenate([stamps.array() for _, stamps in stamped])
-            volts = np.concatenate([batch.numbers("voltage") for batch, _ in stamped])
+            stamps, _, is_stamped = messages.stamps(may_be_zero=True)
+            stamps, volts = stamps[is_stamped], messages.values(Source(topic, "voltage"))[0][is_stamped]
             order = np.argsort(stamps, kind="stable")
             # The node's clock is the samples' clock, or the recorder's.
             logs += [Commands(stamps[order] - late, volts[order]) for late in {0, offset}]

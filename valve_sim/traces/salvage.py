@@ -2,94 +2,66 @@
 
 from __future__ import annotations
 
+import itertools
 import sqlite3
-from collections import defaultdict
 from dataclasses import dataclass, field
 from io import BytesIO
-from operator import itemgetter
-from typing import TYPE_CHECKING, Any, BinaryIO
+from struct import Struct
+from typing import TYPE_CHECKING, Any, BinaryIO, Final
 from zlib import crc32
 
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
+from mcap.reader import make_reader
 from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Schema
 from mcap.stream_reader import StreamReader
 
-from valve_sim.files.channels import CHANNELS
+from valve_sim.traces.cdr import full_type
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
 
-MCAP_MAGIC = b"\x89MCAP0\r\n"
-SQLITE_MAGIC = b"SQLite format 3\0"
-ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-PIECE_SIZE = 1 << 16
-"""Compressed bytes are taken in pieces, so that what came before the damage is kept."""
+    from valve_sim.traces.topics import Topic
 
-KEPT_TYPES = frozenset(place.message_type for channel in CHANNELS.values() for place in channel.places)
-"""Types this package reads; a salvage is held in memory, which the images of a camera must not fill."""
+MCAP_MAGIC: Final = b"\x89MCAP0\r\n"
+SQLITE_MAGIC: Final = b"SQLite format 3\0"
+ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
+PIECE_SIZE: Final = 1 << 10
+"""Compressed bytes are taken in pieces, so that what came before the damage is kept."""
+RECORD_HEAD: Final = Struct("<BQ")
+"""Opcode and length, before each record of an MCAP file."""
+MESSAGE_HEAD: Final = Struct("<HIQQ")
+"""Channel, sequence number, times of the log and of publication, before a message's payload."""
 
 
 @dataclass
 class Salvaged:
-    """Messages that a damaged file still holds.
+    """What a damaged file still holds.
 
     Attributes:
         types: Topic to message type.
-        times: Topic to bag times, ns.
-        payloads: Topic to serialized messages.
+        count: How many messages, of topics that are asked for or not.
         complete: Whether the end of the data was reached, so that only an index is missing.
         damaged_chunks: Chunks that were cut, or could not be unpacked whole.
         encodings: Message encodings other than CDR that were met and left out.
-        others: Messages of other types, counted but not kept.
-        wanted: Topics that are kept whatever their type.
     """
 
     types: dict[str, str] = field(default_factory=dict)
-    times: dict[str, list[int]] = field(default_factory=lambda: defaultdict(list))
-    payloads: dict[str, list[bytes]] = field(default_factory=lambda: defaultdict(list))
+    count: int = 0
     complete: bool = False
     damaged_chunks: int = 0
     encodings: set[str] = field(default_factory=set)
-    others: int = 0
-    wanted: frozenset[str] = frozenset()
-
-    @property
-    def count(self) -> int:
-        """All messages that could be read."""
-        return self.others + sum(map(len, self.times.values()))
-
-    def add(self, topic: str, time: int, payload: bytes) -> None:
-        """Keep one message, unpacking it where the recorder packed each message."""
-        if self.types[topic] not in KEPT_TYPES and topic not in self.wanted:
-            self.others += 1
-            return
-        packed = payload.startswith(ZSTD_MAGIC)
-        self.times[topic].append(time)
-        self.payloads[topic].append(unpack_zstd(payload) if packed else payload)
-
-
-def full_type(message_type: str) -> str:
-    """Return the type with its "msg" part, which some recorders leave out."""
-    package, _, name = message_type.rpartition("/")
-    return message_type if "/" in package else f"{package}/msg/{name}"
 
 
 def unpack_zstd(data: bytes) -> bytes:
     """Unpack as much as there is of a zstd frame that may be cut or damaged."""
-    unpacker = zstandard.ZstdDecompressor().decompressobj()
-    return _unpack_pieces(unpacker.decompress, data)
+    return _unpack_pieces(zstandard.ZstdDecompressor().decompressobj().decompress, data)
 
 
-def _unpack_lz4(data: bytes) -> bytes:
-    return _unpack_pieces(lz4.frame.LZ4FrameDecompressor().decompress, data)
-
-
-def _unpack_pieces(unpack: object, data: bytes) -> bytes:
-    assert callable(unpack)
+def _unpack_pieces(unpack: Callable[[bytes], bytes], data: bytes) -> bytes:
     pieces = []
     try:
         for start in range(0, len(data), PIECE_SIZE):
@@ -99,31 +71,67 @@ def _unpack_pieces(unpack: object, data: bytes) -> bytes:
     return b"".join(pieces)
 
 
-def salvage_mcap(path: Path, wanted: frozenset[str] = frozenset()) -> Salvaged:
-    """Read an MCAP file from its start as far as it is valid; messages of a topic are in the order of bag time."""
-    salvaged = Salvaged(wanted=wanted)
+def unpack_chunk(chunk: Chunk) -> bytes:
+    """Unpack as much as there is of a chunk."""
+    if chunk.compression == "zstd":
+        return unpack_zstd(chunk.data)
+    if chunk.compression == "lz4":
+        return _unpack_pieces(lz4.frame.LZ4FrameDecompressor().decompress, chunk.data)
+    return bytes(chunk.data[: chunk.uncompressed_size])
+
+
+def chunk_is_sound(chunk: Chunk, data: bytes) -> bool:
+    """Say whether unpacked data have the size and the checksum (where there is one) that the chunk declares."""
+    if len(data) != chunk.uncompressed_size:
+        return False
+    return not chunk.uncompressed_crc or crc32(data) == chunk.uncompressed_crc
+
+
+def salvage(path: Path, topics: Mapping[str, Topic]) -> Salvaged:
+    """Read a storage file as far as it is valid.
+
+    Args:
+        path: A .mcap or .db3 file.
+        topics: By name, which take their messages; of others messages are counted only.
+    """
+    return _salvage_mcap(path, topics) if path.suffix == ".mcap" else _salvage_sqlite(path, topics)
+
+
+def _salvage_mcap(path: Path, topics: Mapping[str, Topic]) -> Salvaged:
+    found = Salvaged()
+    schemas: dict[int, str] = {}
     channels: dict[int, str] = {}
     with path.open("rb") as stream:
-        schemas: dict[int, str] = {}
-        for record in _all_records(stream, salvaged):
+        for record in itertools.chain(_repeated(stream), _all_records(stream, found)):
             if isinstance(record, Schema):
                 schemas[record.id] = record.name
             elif isinstance(record, Channel):
-                if record.message_encoding != "cdr":
-                    salvaged.encodings.add(record.message_encoding)
-                    continue
-                channels[record.id] = record.topic
-                salvaged.types.setdefault(record.topic, full_type(schemas.get(record.schema_id, "")))
+                if record.message_encoding == "cdr":
+                    channels[record.id] = record.topic
+                    found.types.setdefault(record.topic, full_type(schemas.get(record.schema_id, "")))
+                else:
+                    found.encodings.add(record.message_encoding)
             elif isinstance(record, Message) and record.channel_id in channels:
-                salvaged.add(channels[record.channel_id], record.log_time, record.data)
-    for topic, times in salvaged.times.items():
-        order = sorted(range(len(times)), key=times.__getitem__)
-        salvaged.payloads[topic] = [salvaged.payloads[topic][place] for place in order]
-        salvaged.times[topic] = [times[place] for place in order]
-    return salvaged
+                found.count += 1
+                topic = topics.get(channels[record.channel_id])
+                if topic is not None:
+                    topic.add(record.log_time, record.data)
+    return found
 
 
-def _all_records(stream: BinaryIO, salvaged: Salvaged) -> Iterator[McapRecord]:
+def _repeated(stream: BinaryIO) -> Iterator[McapRecord]:
+    """Yield schemas and channels as the end of a file repeats them, if it is whole: the first chunk may be damaged."""
+    try:
+        summary = make_reader(stream).get_summary()
+    except Exception:  # the library raises what it happens to meet
+        summary = None
+    stream.seek(0)
+    if summary is not None:
+        yield from summary.schemas.values()
+        yield from summary.channels.values()
+
+
+def _all_records(stream: BinaryIO, found: Salvaged) -> Iterator[McapRecord]:
     """Yield schemas, channels and messages, those inside of chunks too, up to the damage."""
     good_until = len(MCAP_MAGIC)
     records = StreamReader(stream, emit_chunks=True).records
@@ -134,22 +142,22 @@ def _all_records(stream: BinaryIO, salvaged: Salvaged) -> Iterator[McapRecord]:
             break
         good_until = stream.tell()
         if isinstance(record, Chunk):
-            yield from _chunk_records(record, salvaged)
+            yield from _chunk_records(record, found)
             continue
-        salvaged.complete |= isinstance(record, DataEnd)
+        found.complete |= isinstance(record, DataEnd)
         yield record
-        if salvaged.complete:
+        if found.complete:
             return
     chunk = _cut_chunk(stream, good_until)
     if chunk is not None:
-        yield from _chunk_records(chunk, salvaged)
+        yield from _chunk_records(chunk, found)
 
 
 def _cut_chunk(stream: BinaryIO, start: int) -> Chunk | None:
     """Read the chunk at the file's cut end, as far as it goes."""
     stream.seek(start)
-    head = stream.read(9)
-    if len(head) < 9 or head[0] != Opcode.CHUNK:
+    head = stream.read(RECORD_HEAD.size)
+    if len(head) < RECORD_HEAD.size or head[0] != Opcode.CHUNK:
         return None
     rest = ReadDataStream(stream)
     try:
@@ -161,48 +169,45 @@ def _cut_chunk(stream: BinaryIO, start: int) -> Chunk | None:
     return Chunk(compression, stream.read(), end_time, start_time, checksum, size)
 
 
-def _chunk_records(chunk: Chunk, salvaged: Salvaged) -> Iterator[McapRecord]:
+def _chunk_records(chunk: Chunk, found: Salvaged) -> Iterator[McapRecord]:
+    """Yield the records of a chunk, up to its damage."""
     data = unpack_chunk(chunk)
-    salvaged.damaged_chunks += not chunk_is_sound(chunk, data)
+    found.damaged_chunks += not chunk_is_sound(chunk, data)
     if len(data) == chunk.uncompressed_size and not chunk_is_sound(chunk, data):
         # It is unknown which bytes are wrong, and a wrong position is worse than a missing one.
         return
-    records = StreamReader(BytesIO(data), skip_magic=True).records
-    while True:
-        try:
-            yield next(records)
-        except Exception:  # the end of the chunk, or of what is left of it
+    begin = RECORD_HEAD.size
+    while begin <= len(data):
+        opcode, length = RECORD_HEAD.unpack_from(data, begin - RECORD_HEAD.size)
+        stop = begin + length
+        if stop > len(data) or (opcode == Opcode.MESSAGE and length < MESSAGE_HEAD.size):
             return
+        try:
+            if opcode == Opcode.MESSAGE:  # the library takes ten times as long
+                payload = data[begin + MESSAGE_HEAD.size : stop]
+                channel, sequence, time, published = MESSAGE_HEAD.unpack_from(data, begin)
+                yield Message(channel, time, payload, published, sequence)
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                kind = Schema if opcode == Opcode.SCHEMA else Channel
+                yield kind.read(ReadDataStream(BytesIO(data[begin:stop])))
+        except Exception:  # it is invalid, and so may be what follows
+            return
+        begin = stop + RECORD_HEAD.size
 
 
-def unpack_chunk(chunk: Chunk) -> bytes:
-    """Unpack as much as there is of a chunk."""
-    if chunk.compression == "zstd":
-        return unpack_zstd(chunk.data)
-    if chunk.compression == "lz4":
-        return _unpack_lz4(chunk.data)
-    return bytes(chunk.data[: chunk.uncompressed_size])
-
-
-def chunk_is_sound(chunk: Chunk, data: bytes) -> bool:
-    """Say whether unpacked data have the size and the checksum (where there is one) that the chunk declares."""
-    if len(data) != chunk.uncompressed_size:
-        return False
-    return not chunk.uncompressed_crc or crc32(data) == chunk.uncompressed_crc
-
-
-def salvage_sqlite(path: Path, wanted: frozenset[str] = frozenset()) -> Salvaged:
-    """Read the rows of a damaged rosbag2 database from both ends, without its index."""
-    salvaged = Salvaged(wanted=wanted)
+def _salvage_sqlite(path: Path, topics: Mapping[str, Topic]) -> Salvaged:
+    """Read the rows of a rosbag2 database from both ends, without its index."""
+    found = Salvaged()
     names: dict[int, str] = {}
     connection = sqlite3.connect(f"{path.absolute().as_uri()}?immutable=1", uri=True)
     try:
         # Without it SQLite refuses a file shorter than its header says, before it reads one row.
         connection.execute("PRAGMA writable_schema=ON")
+        found.complete = list(_rows(connection, "PRAGMA quick_check")) == [("ok",)]
         for number, name, message_type in _rows(connection, "SELECT id, name, type FROM topics"):
             if isinstance(name, str) and isinstance(message_type, str):
                 names[number] = name
-                salvaged.types[name] = full_type(message_type)
+                found.types[name] = full_type(message_type)
         query = "SELECT id, topic_id, timestamp, data FROM messages ORDER BY id"
         rows = {row[0]: row[1:] for row in _rows(connection, query)}
         last = max(rows, default=0)
@@ -212,11 +217,14 @@ def salvage_sqlite(path: Path, wanted: frozenset[str] = frozenset()) -> Salvaged
             rows[row[0]] = row[1:]
     finally:
         connection.close()
-    # Of a row on a damaged page, any column may be missing or of another kind.
-    sound = (row for row in rows.values() if row[0] in names and isinstance(row[1], int) and isinstance(row[2], bytes))
-    for number, time, payload in sorted(sound, key=itemgetter(1)):
-        salvaged.add(names[number], time, payload)
-    return salvaged
+    for number, time, payload in rows.values():
+        # Of a row on a damaged page, any column may be missing or of another kind.
+        if number in names and isinstance(time, int) and isinstance(payload, bytes):
+            found.count += 1
+            topic = topics.get(names[number])
+            if topic is not None:
+                topic.add(time, payload)
+    return found
 
 
 def _rows(connection: sqlite3.Connection, query: str) -> Iterator[tuple[Any, ...]]:

@@ -9,13 +9,10 @@ import numpy as np
 from valve_sim.signals.long_columns import blocks, filled, median_of
 from valve_sim.traces.clocks import order_samples
 from valve_sim.traces.errors import TraceError
-from valve_sim.traces.packed_times import narrowed
 from valve_sim.traces.trouble import LARGEST_POSITION
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-
-    from valve_sim.traces.packed_times import PackedTimes
 
 MOST_REPEATED: Final = 0.05
 """Share of samples that may have another sample's stamp; beyond it nobody can say which is right."""
@@ -51,22 +48,16 @@ class Readings(NamedTuple):
     """What one source recorded.
 
     Attributes:
-        bag_times: When each message was recorded, ns, of n.
         stamps: When it was taken by its header, ns, shape (n,); the bag time where `is_stamped` is False.
+        delays: What bag times are after the stamps, ns, shape (n,).
         is_stamped: Whether the header holds a time, and is to be used.
         values: SI (°C for temperatures), NaN where a message has none; a view of what was read, not to be changed.
     """
 
-    bag_times: PackedTimes
     stamps: NDArray[np.int64]
+    delays: NDArray[np.integer]
     is_stamped: NDArray[np.bool_]
     values: NDArray[np.float64]
-
-    def delays(self) -> NDArray[np.integer]:
-        """Return what bag times are after the stamps, ns, shape (n,)."""
-        found = self.bag_times.array()
-        found -= self.stamps
-        return narrowed(found)
 
     def times(self, late: int) -> NDArray[np.int64]:
         """Return when each was taken by the stamps' clock, ns, shape (n,), in the memory of the stamps: they are gone.

@@ -1,37 +1,32 @@
-"""Raw messages out of rosbag2 folders, bare .mcap and .db3 files, whole or damaged."""
+"""Messages out of rosbag2 folders, bare .mcap and .db3 files, whole or damaged."""
 
 from __future__ import annotations
 
 import os
 import re
 import tempfile
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from rosbags.interfaces import MessageDefinitionFormat
 from rosbags.rosbag2 import Reader
+from rosbags.typesys import get_types_from_idl, get_types_from_msg
 
+from valve_sim.model.errors import ValveError
+from valve_sim.traces.cdr import full_type, typestore
 from valve_sim.traces.errors import TraceError
-from valve_sim.traces.indexed_mcap import read_indexed_mcap
-from valve_sim.traces.salvage import (
-    KEPT_TYPES,
-    MCAP_MAGIC,
-    SQLITE_MAGIC,
-    ZSTD_MAGIC,
-    full_type,
-    salvage_mcap,
-    salvage_sqlite,
-    unpack_zstd,
-)
-from valve_sim.traces.topics import Topic, TopicReader, TopicReaders, joined
+from valve_sim.traces.indexed_mcap import IndexedMcap
+from valve_sim.traces.salvage import MCAP_MAGIC, SQLITE_MAGIC, ZSTD_MAGIC, Salvaged, salvage, unpack_zstd
+from valve_sim.traces.topics import Topic
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 
-    from valve_sim.traces.cdr import Decoded
-    from valve_sim.traces.packed_times import PackedTimes
-    from valve_sim.traces.topics import Fields
+    from valve_sim.traces.cdr import Definitions
 
+    Fields = Mapping[str, Collection[str] | None]
+    """Topics to read, and the paths of the numbers to keep of each, as `Topic` has them."""
     Select = Callable[[Mapping[str, str]], Fields]
 
 STORAGE_SUFFIXES = (".mcap", ".db3")
@@ -42,55 +37,43 @@ class Recording(NamedTuple):
 
     Attributes:
         types: Every topic in the recording and its message type ("std_msgs/msg/Float64").
-        topics: What the topics that were asked for hold, decoded; none of those without a message.
+        topics: What the topics that were asked for hold; none of those without a message.
         findings: What was wrong with the files, and what was kept.
+        messages: How many the files hold, of topics that were asked for or not, as far as their indexes say it.
     """
 
     types: Mapping[str, str]
     topics: dict[str, Topic]
-    findings: tuple[str, ...]
+    findings: tuple[str, ...] = ()
+    messages: int = 0
 
-    def decoded(self, path: Path, name: str) -> tuple[PackedTimes, Decoded]:
-        """Return bag times and numbers of a topic's messages, of which at least one must be readable.
+    def topic(self, path: Path, name: str) -> Topic:
+        """Return a topic of which at least one message can be read.
 
         Raises:
-            TraceError: None is; one line that names the file `path` and the topic.
+            TraceError: None can; one line that names the file `path` and the topic.
         """
         where, topic = f"{path}: topic {name}", self.topics.get(name)
         if topic is None:
             raise TraceError(f"{where} holds no message; record it while something moves")
-        if topic.decoded is None:
+        if not topic.is_known:
             raise TraceError(
                 f"{where} is {self.types[name]}, whose definition the recording does not hold; record it as MCAP, or "
                 "publish a standard type"
             )
-        if not topic.decoded.batches:
+        if not topic.batches:
             raise TraceError(
                 f"{where}: none of {topic.size} messages can be read as {self.types[name]}; record it again"
             )
-        return topic.bag_times, topic.decoded
+        return topic
 
 
-class _Part(NamedTuple):
-    """What one or more files hold: types by topic, readers of topics, and how much was damaged."""
-
-    types: dict[str, str]
-    topics: TopicReaders
-    messages: int = 0
-    complete: bool = True
-    damaged_chunks: int = 0
-    encodings: frozenset[str] = frozenset()
-
-
-def read_recording(
-    path: Path, select: Select, wanted: frozenset[str] = frozenset(), most: int | None = None
-) -> Recording:
+def read_recording(path: Path, select: Select, most: int | None = None) -> Recording:
     """Read the messages of some topics.
 
     Args:
         path: A rosbag2 folder, or a bare .mcap or .db3 file.
         select: Called with all topics and their types; returns those to read, each with the fields to keep (None: all).
-        wanted: Topics that a damaged file is searched for beside those of `KEPT_TYPES`.
         most: About how many messages of each topic are enough; None: all.
 
     Raises:
@@ -98,15 +81,13 @@ def read_recording(
     """
     _refuse_what_is_no_recording(path)
     if path.is_dir() and not (path / "metadata.yaml").exists():
-        reason = "metadata.yaml is missing (the recorder writes it when it ends)"
-        return _read_storages(path, select, reason, wanted)
+        return _read_damaged(path, select, most, "metadata.yaml is missing (the recorder writes it when it ends)")
     try:
-        whole = _read_whole(path, select, most)
-        return Recording(whole.types, _finished(joined([whole.topics])), ())
-    except TraceError:
+        return _read_whole(path, select, most)
+    except ValveError:
         raise
     except Exception as error:  # a damaged bag makes the readers raise whatever they stumble over
-        return _read_storages(path, select, _one_line(error), wanted)
+        return _read_damaged(path, select, most, _one_line(error))
 
 
 def _refuse_what_is_no_recording(path: Path) -> None:
@@ -167,51 +148,80 @@ def _one_line(error: BaseException) -> str:
     return text.rstrip(".")[:200]
 
 
-def _read_whole(path: Path, select: Select, most: int | None = None) -> _Part:
-    if path.suffix == ".mcap" and path.is_file():
-        try:
-            return _read_indexed(path, select, most)
-        except TraceError:
-            raise
-        except Exception:  # no index, or a damaged one: rosbags reports which
-            return _read_by_rosbags(path, select, most)
-    return _read_by_rosbags(path, select, most)
+def _read_whole(path: Path, select: Select, most: int | None) -> Recording:
+    files = [path]
+    if path.is_dir():
+        with Reader(path) as reader:  # which refuses metadata that do not fit the files
+            if not reader.compression_mode and all(file.suffix == ".mcap" for file in _storage_files(path)):
+                files = _storage_files(path)
+    if all(file.suffix == ".mcap" and file.is_file() for file in files):
+        found = _by_index(files, select, most)
+        if found:
+            return found
+    with ExitStack() as stack:
+        readers = [stack.enter_context(Reader(file)) for file in files]
+        connections = [connection for reader in readers for connection in reader.connections]
+        types = {connection.topic: full_type(connection.msgtype) for connection in connections}
+        topics = _topics(files, types, select(types), most)
+        for reader in readers:
+            wanted = [connection for connection in reader.connections if connection.topic in topics]
+            for connection, time, payload in reader.messages(wanted) if wanted else ():
+                topics[connection.topic].add(time, payload)
+    return _finished(types, topics)
 
 
-def _read_indexed(path: Path, select: Select, most: int | None) -> _Part:
-    types: dict[str, str] = {}
-    keep: dict[str, Collection[str] | None] = {}
-    readers = TopicReaders(path, types, keep, most)
-
-    def chosen(found: Mapping[str, str]) -> Collection[str]:
-        types.update(found)
-        keep.update(select(found))
-        return keep
-
-    read_indexed_mcap(path, chosen, readers.take)
-    return _Part(types, readers)
-
-
-def _read_by_rosbags(path: Path, select: Select, most: int | None) -> _Part:
-    with Reader(path) as reader:
-        types = {connection.topic: full_type(connection.msgtype) for connection in reader.connections}
-        wanted = select(types)
-        readers = TopicReaders(path, types, wanted)
-        files = _storage_files(path) if path.is_dir() else []
-        if files and not reader.compression_mode and all(file.suffix == ".mcap" for file in files):
-            parts = [_read_whole(file, lambda _: wanted, most) for file in files]
-            readers.readers = joined(part.topics for part in parts)
-            return _Part(types, readers)
-        connections = [connection for connection in reader.connections if connection.topic in wanted]
-        sinks = {connection.id: readers.of(connection.topic).take_message for connection in connections}
-        for connection, time, payload in reader.messages(connections) if connections else ():
-            sinks[connection.id](time, payload)
-    return _Part(types, readers)
+def _by_index(files: Sequence[Path], select: Select, most: int | None) -> Recording | None:
+    """Read MCAP files by their indexes; None where one has none, or a damaged one: rosbags says which."""
+    try:
+        parts = [IndexedMcap(file) for file in files]
+        types = {topic: message_type for part in parts for topic, message_type in part.types.items()}
+        topics = _topics(files, types, select(types), most)
+        for part in parts:
+            part.read(topics)
+    except ValveError:
+        raise
+    except Exception:  # the library raises what it stumbles over
+        return None
+    return _finished(types, topics)._replace(messages=sum(part.count for part in parts))
 
 
-def _finished(readers: Mapping[str, TopicReader]) -> dict[str, Topic]:
-    topics = {name: reader.topic() for name, reader in readers.items()}
-    return {name: topic for name, topic in topics.items() if topic.size}
+def _topics(files: Sequence[Path], types: Mapping[str, str], fields: Fields, most: int | None) -> dict[str, Topic]:
+    """What takes the messages of each topic that is to be read."""
+    return {
+        name: Topic(types[name], _definitions_of(files, types[name]), keep, most)
+        for name, keep in fields.items()
+        if name in types
+    }
+
+
+def _definitions_of(files: Sequence[Path], message_type: str) -> Definitions | None:
+    """Definitions of a message type and of those in it: the usual ones, or those that one of the files holds.
+
+    None: nobody knows. The definitions are parsed, never run.
+    """
+    usual: Definitions = typestore().fielddefs
+    if message_type in usual:
+        return usual
+    parsers = {MessageDefinitionFormat.MSG: get_types_from_msg, MessageDefinitionFormat.IDL: _types_from_idl}
+    for file in files:
+        # Of a damaged file, or a definition that is none, the library raises what it stumbles over.
+        with suppress(Exception), Reader(file) as reader:
+            for connection in reader.connections:
+                if full_type(connection.msgtype) == message_type and connection.msgdef.format in parsers:
+                    found = parsers[connection.msgdef.format](connection.msgdef.data, message_type)
+                    if found:
+                        return {**usual, **found}
+    return None
+
+
+def _types_from_idl(text: str, _: str) -> Definitions:
+    return get_types_from_idl(text)
+
+
+def _finished(types: Mapping[str, str], topics: Mapping[str, Topic], findings: tuple[str, ...] = ()) -> Recording:
+    for topic in topics.values():
+        topic.finish()
+    return Recording(types, {name: topic for name, topic in topics.items() if topic.size}, findings)
 
 
 def _storage_files(path: Path) -> list[Path]:
@@ -223,29 +233,47 @@ def _storage_files(path: Path) -> list[Path]:
     )
 
 
-def _read_storages(path: Path, select: Select, reason: str, also: frozenset[str]) -> Recording:
-    """Read storage files one by one, each whole or what is left of it."""
-    files = _storage_files(path) if path.is_dir() else [path]
-    kept = [_read_storage(file, also, alone=not path.is_dir()) for file in files]
-    types = {topic: message_type for part in kept for topic, message_type in part.types.items()}
-    count = sum(part.messages for part in kept)
-    if not count:
-        encodings = sorted(encoding for part in kept for encoding in part.encodings)
-        if encodings:
-            raise TraceError(
-                f"{path}: messages are encoded as {', '.join(encodings)}, cdr is needed; record it with ros2 bag"
-            )
-        raise TraceError(f"{path}: no message could be saved ({reason}); record it again")
-    wanted = set(select(types))
-    readers = {topic: reader for topic, reader in joined(part.topics for part in kept).items() if topic in wanted}
-    return Recording(types, _finished(readers), (_describe_salvage(path, kept, count, reason),))
+def _read_damaged(path: Path, select: Select, most: int | None, reason: str) -> Recording:
+    """Read what is left of storage files: first of what they are, then the messages of the topics to read."""
+    with _unpacked(_storage_files(path) if path.is_dir() else [path]) as files:
+        whole = _by_index(files, select, most) if path.is_dir() else None
+        if whole is not None and whole.messages:
+            return whole._replace(findings=(_describe_salvage(path, [], whole.messages, reason),))
+        found = [salvage(file, {}) for file in files]
+        types = {topic: message_type for part in found for topic, message_type in part.types.items()}
+        count = sum(part.count for part in found)
+        if not count:
+            encodings = sorted(encoding for part in found for encoding in part.encodings)
+            if encodings:
+                raise TraceError(
+                    f"{path}: messages are encoded as {', '.join(encodings)}, cdr is needed; record it with ros2 bag"
+                )
+            raise TraceError(f"{path}: no message could be saved ({reason}); record it again")
+        topics = _topics(files, types, select(types), most)
+        for file in files:
+            salvage(file, topics)
+    return _finished(types, topics, (_describe_salvage(path, found, count, reason),))
 
 
-def _describe_salvage(path: Path, kept: Sequence[_Part], count: int, reason: str) -> str:
+@contextmanager
+def _unpacked(files: Sequence[Path]) -> Iterator[list[Path]]:
+    """Storage files, those that are packed whole in an unpacked copy that lasts as long as the context."""
+    with tempfile.TemporaryDirectory() as folder:
+        found = []
+        for file in files:
+            place = file
+            if file.suffix == ".zstd":
+                place = Path(folder) / file.stem
+                place.write_bytes(unpack_zstd(file.read_bytes()))
+            found.append(place)
+        yield found
+
+
+def _describe_salvage(path: Path, found: Sequence[Salvaged], count: int, reason: str) -> str:
     recorded = _declared_count(path)
     of_all = f" of {recorded}" if recorded and recorded >= count else ""
-    complete = all(part.complete for part in kept)
-    chunks = sum(part.damaged_chunks for part in kept)
+    complete = all(part.complete for part in found)
+    chunks = sum(part.damaged_chunks for part in found)
     lost = "the data reach their end" if complete else "what followed is lost"
     damaged = f", {chunks} damaged {'chunk' if chunks == 1 else 'chunks'}" if chunks else ""
     return f"{path.name}: damaged or unfinished ({reason}); kept {count}{of_all} messages, {lost}{damaged}"
@@ -255,36 +283,7 @@ def _declared_count(path: Path) -> int | None:
     """Return how many messages a folder's metadata declare, if the metadata can be read."""
     file = path / "metadata.yaml"
     try:
-        found = re.search(r"^  message_count: (\d+)", file.read_text("utf-8"), re.MULTILINE)
+        declared = re.search(r"^  message_count: (\d+)", file.read_text("utf-8"), re.MULTILINE)
     except (OSError, UnicodeDecodeError):
         return None
-    return int(found[1]) if found else None
-
-
-def _read_storage(file: Path, also: frozenset[str], *, alone: bool) -> _Part:
-    """Read one file: by rosbags where it is whole and has not been tried, otherwise by salvage."""
-    with ExitStack() as stack:
-        if file.suffix == ".zstd":
-            folder = stack.enter_context(tempfile.TemporaryDirectory())
-            unpacked = Path(folder) / file.stem
-            unpacked.write_bytes(unpack_zstd(file.read_bytes()))
-            file = unpacked
-        elif alone:
-            return _salvage(file, also)
-        try:
-            whole = _read_whole(file, lambda types: _kept(types, also))
-        except Exception:  # damaged: see read_recording
-            return _salvage(file, also)
-    return whole._replace(messages=sum(reader.finished_count() for reader in whole.topics.readers.values()))
-
-
-def _kept(types: Mapping[str, str], also: frozenset[str]) -> dict[str, None]:
-    return {topic: None for topic, message_type in types.items() if message_type in KEPT_TYPES or topic in also}
-
-
-def _salvage(file: Path, also: frozenset[str]) -> _Part:
-    found = salvage_mcap(file, also) if file.suffix == ".mcap" else salvage_sqlite(file, also)
-    readers = TopicReaders(file, found.types)
-    for topic, times in found.times.items():
-        readers.take_messages(topic, times, found.payloads[topic])
-    return _Part(found.types, readers, found.count, found.complete, found.damaged_chunks, frozenset(found.encodings))
+    return int(declared[1]) if declared else None

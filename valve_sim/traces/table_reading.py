@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from valve_sim.files.channels import CHANNELS, JUDGED, SIGNALS, UNITS, Signal
+from valve_sim.files.channels import CHANNELS, JUDGED, SIGNALS, Signal
 from valve_sim.files.data_tables import TABLE_SUFFIXES, DataTable, open_table
 from valve_sim.files.recording_map import RecordingMap, Source, TimeAxis
 from valve_sim.model.drives import Drive
@@ -100,7 +100,7 @@ class _TableAssembly:
     def trace(self, valve: str) -> Trace:
         """Put the trace together."""
         judged, pilot = self.judged()
-        times, kept = self.times(len(pilot))
+        times, kept = self.times()
         finite = np.isfinite(pilot)
         if not (finite & kept).any():
             raise TraceError(f"{self.path}: {self.sources[judged].name}: no finite {judged}; name another column")
@@ -170,15 +170,13 @@ class _TableAssembly:
                 f"{', '.join(self.table.names)}; name one of these"
             )
 
-    def times(self, rows: int) -> tuple[Array, NDArray[np.bool_]]:
+    def times(self) -> tuple[Array, NDArray[np.bool_]]:
         """When each row was taken, s, and which rows to keep: a row with the time of the one before goes."""
-        axis = self.axis
-        if axis.rate:
-            return np.arange(rows) / axis.rate, np.ones(rows, dtype=bool)
-        self.check_column("time", axis.column)
-        times, kept, repeated = self.table.row_times(axis.column, UNITS["time"][axis.unit].factor)
+        if self.axis.column:
+            self.check_column("time", self.axis.column)
+        times, kept, repeated = self.table.row_times(self.axis)
         if repeated:
-            self.findings.append(f"column {axis.column}: dropped {repeated} rows with the time of the row before")
+            self.findings.append(f"column {self.axis.column}: dropped {repeated} rows with the time of the row before")
         return times, kept
 
     def drive(self, times: Array, kept: NDArray[np.bool_]) -> tuple[Drive, DriveErrors]:

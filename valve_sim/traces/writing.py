@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, NoReturn
 
 import numpy as np
 from rosbags.interfaces import Nodetype
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from valve_sim.files.channels import COIL, COIL_STATE, FLOAT, JOINT_STATE, MAIN, PILOT, SIGNALS
 from valve_sim.files.ledger import note_written
@@ -22,7 +22,6 @@ from valve_sim.traces.cdr import encode_messages, typestore
 from valve_sim.traces.clocks import SECOND
 from valve_sim.traces.errors import TraceError
 from valve_sim.traces.layout import COMMAND, MEASURED
-from valve_sim.traces.many_messages import ManyWriter
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -71,7 +70,7 @@ class BagRecorder:
         with self._or_nothing():
             shutil.rmtree(self._workshop, ignore_errors=True)
             self._workshop.mkdir(parents=True)
-            self._writer = ManyWriter(self._workshop / name, version=9, storage_plugin=plugin)
+            self._writer = Writer(self._workshop / name, version=9, storage_plugin=plugin)
             if compressed:
                 mode = CompressionMode.STORAGE if plugin == StoragePlugin.MCAP else CompressionMode.MESSAGE
                 self._writer.set_compression(mode, CompressionFormat.ZSTD)
@@ -113,23 +112,6 @@ class BagRecorder:
             self._writer.write(self._connections[topic], time_ns, payload)
         except (OSError, sqlite3.Error) as error:
             self._refuse(error)
-
-    def write_many(
-        self, topics: Sequence[str], places: NDArray[np.int64], times_ns: list[int], payloads: Sequence[bytes]
-    ) -> None:
-        """Write serialized (CDR) messages of announced topics in their order.
-
-        Args:
-            topics: Full names.
-            places: Of each message's topic among these, shape (n,).
-            times_ns: When each came, ns of the recorder's clock.
-            payloads: The messages.
-
-        Raises:
-            TraceError: They cannot be written; nothing is left behind.
-        """
-        with self._or_nothing():
-            self._writer.write_many([self._connections[topic] for topic in topics], places, times_ns, payloads)
 
     def close(self) -> None:
         """Finish the recording and move it to its name.
@@ -228,12 +210,15 @@ def write_bags(
             recorder.add_topic(topic, messages.message_type)
         for parts in _in_time(list(topics.values())):
             times = np.concatenate([messages.times[own] for messages, own in parts])
-            places = np.repeat(np.arange(len(parts)), [own.stop - own.start for _, own in parts])
-            payloads = [payload for messages, own in parts for payload in messages.encoded(own)]
+            encoded = [
+                (topic, messages.message_type, payload)
+                for topic, (messages, own) in zip(topics, parts, strict=True)
+                for payload in messages.encoded(own)
+            ]
             order = np.argsort(times, kind="stable")
-            recorder.write_many(
-                list(topics), places[order], times[order].tolist(), [payloads[message] for message in order.tolist()]
-            )
+            for message, time in zip(order.tolist(), times[order].tolist(), strict=True):
+                topic, message_type, payload = encoded[message]
+                recorder.write(topic, message_type, payload, time)
 
 
 class _Messages(NamedTuple):

@@ -10,6 +10,7 @@ from plants.recording import Profile, Recorder, train_profile
 
 from identification.recordings import recorded
 from valve_sim.files.parameter_files import default_valve
+from valve_sim.identification.estimation.column_groups import group_columns
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
@@ -17,6 +18,13 @@ from valve_sim.identification.plants.protocol import Array
 from valve_sim.identification.plants.valve import ValvePlant
 
 STEP = 1e-6
+
+
+def test_where_nothing_acts_rounding_does_not_keep_strokes_together() -> None:
+    """A stroke that is held out shows the rounding of the one before."""
+    masks = [np.isin(np.arange(12), np.arange(first, last)) for first, last in ((0, 6), (6, 9), (9, 12))]
+    (group,), columns = group_columns(masks), np.zeros((12, 3))
+    assert group.part(np.array([0.0, 5.0, 1.0, 0.0, 0.0, 0.0, 3e-17, 2e-17, 2e-17, 2.0, 1.0, 0.0]), columns)
 
 
 class Counting(ValvePlant):

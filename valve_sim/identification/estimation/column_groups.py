@@ -20,6 +20,9 @@ LAST: Final = 3
 """Samples at the end of each stretch in which the effect of its nuisance must have died away."""
 LEFT: Final = 1e-3
 """Share of the largest difference in a stretch that counts as zero."""
+ROUNDING: Final = 1e-9
+"""Share of the largest difference in all stretches that counts as zero: nothing but rounding reaches one that is held
+out, and it would not die away."""
 
 
 class ColumnGroup:
@@ -58,10 +61,11 @@ class ColumnGroup:
         Where it has not, as in strokes that follow each other without rest, it reaches samples that another one acts
         on. Argument as of `part`.
         """
+        rounding = ROUNDING * float(np.max(np.abs(differences), initial=0.0))
         for start, stop in self._stretches:
             if stop < len(differences):
                 sizes = np.abs(differences[start:stop])
-                if np.max(sizes[-LAST:]) > LEFT * np.max(sizes):
+                if np.max(sizes[-LAST:]) > max(LEFT * np.max(sizes), rounding):
                     return False
         return True
 

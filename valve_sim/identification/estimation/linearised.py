@@ -15,7 +15,6 @@ where that is let free.
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import math
 from collections.abc import Callable, Sequence
@@ -23,8 +22,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
-from scipy.linalg.lapack import dpotri
+from scipy.linalg.lapack import dpotrf, dpotri, dpotrs
 
 from valve_sim.identification.estimation.evidence import log_volume
 from valve_sim.identification.estimation.gram import gram, orthonormal
@@ -203,7 +201,7 @@ class _Solved(NamedTuple):
         root: (m,) these units in units of the sizes. log_root: ½ ln |M| in units of the sizes. gain: −gᵀ M⁻¹ g.
     """
 
-    factor: Any
+    factor: Array
     moves: Array
     scale: Array
     root: Array
@@ -248,8 +246,8 @@ class BySizes:
         root = _units(whole)
         factor = _factored(whole * np.outer(root, root))
         target = scale * root * self._pull
-        moves = -cho_solve(factor, target, check_finite=False)
-        log_root = float(np.sum(np.log(np.diag(factor[0])))) - float(np.sum(np.log(root)))
+        moves = -_solution(factor, target)
+        log_root = float(np.sum(np.log(np.diag(factor)))) - float(np.sum(np.log(root)))
         return _Solved(factor, moves, scale * root, root, log_root, float(target @ moves))
 
     def cost(self, sizes: Array) -> float:
@@ -264,7 +262,7 @@ class BySizes:
     def _cost_and_slope(self, sizes: Array) -> tuple[float, Array]:
         """The cost, and its derivative to the logarithm of each size."""
         solved, places = self._solved(sizes), self._places
-        inverse, _ = dpotri(solved.factor[0], lower=1)
+        inverse, _ = dpotri(solved.factor, lower=1)
         spread = np.diag(inverse)[places]
         squares = (np.square(solved.moves[places]) + spread) * np.square(solved.root[places])
         known = np.bincount(self._owners, squares, minlength=len(sizes))
@@ -305,7 +303,7 @@ class BySizes:
         """(q,) coefficients of a group, and (q, q) their covariance, beside all else that is estimated."""
         factor, moves, scale, *_ = self._solved(sizes)
         own = self._places[self._owners == number]
-        covariance = cho_solve(factor, np.eye(len(scale))[:, own], check_finite=False)[own]
+        covariance = _solution(factor, np.eye(len(scale))[:, own])[own]
         return moves[own] * scale[own], covariance * np.outer(scale[own], scale[own])
 
     def costs_of(self, sizes: Array, number: int, at: Array) -> Array:
@@ -324,12 +322,12 @@ class BySizes:
         root = _units(whole[np.ix_(rest, rest)])
         factor = _factored(whole[np.ix_(rest, rest)] * np.outer(root, root))
         between = root[:, None] * np.column_stack([whole[np.ix_(rest, own)], pull[rest]])
-        solved = cho_solve(factor, between, check_finite=False)
+        solved = _solution(factor, between)
         left = whole[np.ix_(own, own)] - gram(between[:, :-1], solved[:, :-1])
         values, vectors = np.linalg.eigh(0.5 * (left + left.T))
         squares = np.square(vectors.T @ (pull[own] - gram(between[:, :-1], solved[:, -1])))
         values = np.maximum(values, 0.0)
-        known = float(np.sum(np.log(np.diag(factor[0])))) - float(np.sum(np.log(root)))
+        known = float(np.sum(np.log(np.diag(factor)))) - float(np.sum(np.log(root)))
         known -= 0.5 * float(between[:, -1] @ solved[:, -1])
         precisions = np.square(sizes[number] / at)[:, None]
         found = 0.5 * np.sum(np.log1p(values / precisions) - squares / (values + precisions), axis=1)
@@ -360,16 +358,25 @@ class BySizes:
     def estimates(self, sizes: Array, count: int) -> tuple[Array, Array]:
         """(count,) steps of the first coordinates to the optimum, and (count, count) their covariance."""
         factor, moves, scale, *_ = self._solved(sizes)
-        covariance = cho_solve(factor, np.eye(len(scale))[:, :count], check_finite=False)[:count]
+        covariance = _solution(factor, np.eye(len(scale))[:, :count])[:count]
         return moves[:count] * scale[:count], covariance * np.outer(scale[:count], scale[:count])
 
 
-def _factored(matrix: Array) -> Any:
-    """Cholesky factor of a matrix of about unit diagonal, with as little on the diagonal as makes it positive."""
-    for share in (TINY, 1e-10, 1e-8, 1e-6):
-        with contextlib.suppress(np.linalg.LinAlgError):
-            return cho_factor(matrix + share * np.eye(len(matrix)), lower=True, check_finite=False)
-    return cho_factor(matrix + len(matrix) * np.eye(len(matrix)), lower=True, check_finite=False)
+def _factored(matrix: Array) -> Array:
+    """(k, k) Cholesky's factor of a matrix of about unit diagonal, with as little added to that as makes it positive.
+
+    By LAPACK itself: what SciPy checks before takes longer than to factor so small a matrix.
+    """
+    for share in (TINY, 1e-10, 1e-8, 1e-6, float(len(matrix))):
+        factor, failed = dpotrf(matrix + share * np.eye(len(matrix)), lower=1)
+        if not failed:
+            break
+    return np.asarray(factor)
+
+
+def _solution(factor: Array, right: Array) -> Array:
+    """M⁻¹ of (k,) or (k, n), by Cholesky's factor of M."""
+    return np.asarray(dpotrs(factor, right, lower=1)[0]) if len(factor) else right
 
 
 def _log_evidences(of_all: Array, priors: Array, slopes: Array, room: Array) -> Array:

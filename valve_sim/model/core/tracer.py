@@ -400,28 +400,6 @@ def evaluate(nodes: Iterable[Node], values: Mapping[str, Any]) -> list[Any]:
     return [known[node] for node in nodes]
 
 
-def pieces_of_curve(curve: Curve, values: Mapping[str, Any]) -> dict[str, Any]:
-    """The numbers of a curve of splines at each of many places, so that it can be evaluated there.
-
-    Args:
-        values: of what its place and its coefficients are made of, by name; places may be arrays.
-    """
-    place, intervals = evaluate([curve.place, curve.intervals], values)
-    count, stem = int(intervals), curve.first.rstrip("0123456789")
-    c = np.array([values[f"{stem}{k}"] for k in range(1, count + (0 if curve.periodic else 3) + 1)])
-    below, last = np.floor(place), count if curve.periodic else count - 1
-    at = below if curve.periodic else np.clip(below, 0, last)
-    first = np.mod(below, count).astype(int) if curve.periodic else at.astype(int)
-    c0, c1, c2, c3 = (c[(first + k) % len(c)] for k in range(4))
-    d1, d2, d3 = 0.5 * (c2 - c0), 0.5 * (c0 - 2.0 * c1 + c2), (c3 - 3.0 * c2 + 3.0 * c1 - c0) / 6.0
-    value, varies = (c0 + 4.0 * c1 + c2) / 6.0, np.ones_like(place)
-    if not curve.periodic:
-        value = np.where(place > count, value + d1 + d2 + d3, value)
-        varies = np.where((place < 0.0) | (place > count), 0.0, 1.0)
-    everywhere = {"curve low": -math.inf, "curve high": math.inf, "curve at": at, "curve 0": value}
-    return everywhere | {f"curve {power}": varies * d for power, d in enumerate((d1, d2, d3), 1)}
-
-
 _EVALUATED: Final[Mapping[str, Any]] = {
     "constant": lambda node: node.value,
     "clock": lambda node: 0.0,
