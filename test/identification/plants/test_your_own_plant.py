@@ -3,12 +3,9 @@
 import re
 from pathlib import Path
 
-import pytest
-
 PAGE = Path(__file__).parents[3] / "docs" / "how_to" / "your_own_plant.md"
 
 
-@pytest.mark.long
 def test_the_examples_on_the_page_run(capsys):
     names = {"__name__": "example"}
     for code in re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL):
