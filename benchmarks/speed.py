@@ -2,6 +2,8 @@
 
 core: runs at a tolerance of 1e-8 on one thread, per run; then 10,000 openings on one and on two threads. The best of
 the turns is shown, as machines change their speed by two within seconds.
+solvers: one opening (15 ms at 9 V, 150 outputs) in the core, by one call of `simulate`, and by SciPy RK45 with
+events, in turns; a ratio is the median of those of each turn.
 live: steps of 1 ms of the live valve. start: the first result of a process, with an empty cache and with a full one.
 commands: `valve-sim identify` of half a second at 20 kHz as a new process, the fit in it, and reading.
 
@@ -23,6 +25,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -33,23 +36,21 @@ from plants.recording import Recorder, record, train_profile
 from benchmarks.campaign.declared import as_trace
 from benchmarks.common import parser, show
 from benchmarks.coverage import true_dampings
+from benchmarks.other_solvers import TIMES, TOLERANCE, scipy_opening
 from valve_sim.files.resources import config_path
-from valve_sim.model import Drive, Valve, simulate
+from valve_sim.model import Drive, EventKind, Valve, simulate
 from valve_sim.model.live import Live
 from valve_sim.model.runs import Directions, run_sloped
 from valve_sim.model.simulation import run_numbers
 from valve_sim.traces import Trace, read_trace, write_bag
 
 Work = Callable[[], object]
-TIMES: Final = np.linspace(1e-4, 15e-3, 150)
-"""s: the outputs of an opening."""
-TOLERANCE: Final = 1e-8
 DRIVE: Final = Drive.of([0.0], [9.0])
 STROKE: Final = Drive.of([0.0, 15e-3], [9.0, 0.0])
 STROKES: Final = Drive.of(np.arange(16) * 20e-3, [9.0, 0.0] * 8)
 SAMPLES: Final = np.arange(1, 601) * 5e-5
-ROW, MANY = 200, 10_000
-"""Valves that are simulated one after the other in a turn, and openings of a batch."""
+ROW, CALLS, MANY = 200, 100, 10_000
+"""Valves that are simulated one after the other in a turn; calls of `simulate` in one; openings of a batch."""
 DECLARED: Final = Valve().with_values(a0=3.0336, coil_time_constant=0.9934e-3)
 SEATED: Final = DECLARED.with_values(seat_load=0.3)
 FIVE: Final = Valve(
@@ -144,6 +145,34 @@ def core(options: argparse.Namespace) -> list[Row]:
     ]
     ratio = float(np.median(durations[:, -2] / durations[:, -1]))
     return [*rows, Row(("  one over two threads", f"{ratio:.2f}", "≥ 1.8"), ratio >= 1.8)]
+
+
+def event_times(valve: Valve, tolerance: float = TOLERANCE) -> tuple[float, float]:
+    """When the opening valve's pilot takes up the main plunger and when both reach the stop, s."""
+    response = simulate(valve, DRIVE, TIMES, tolerance=tolerance)
+    return response.first(EventKind.PICKED_UP), response.first(EventKind.REACHED_STOP)
+
+
+def solvers(options: argparse.Namespace) -> list[Row]:
+    """One opening beside other solvers: time, ratio to the core, and the error of both events against 1e-13."""
+    rows = []
+    for name, valve, least in (("declared", DECLARED, 1000.0), ("five effects", FIVE, 0.0)):
+        others: dict[str, Callable[[Valve], tuple[float, float]]] = {"SciPy RK45": scipy_opening}
+        works: list[Work] = [
+            batch(valve, DRIVE, TIMES),
+            lambda valve=valve: [simulate(valve, DRIVE, TIMES, tolerance=TOLERANCE) for _ in range(CALLS)],
+            *(partial(opening, valve) for opening in others.values()),
+        ]  # fmt: skip
+        times = times_in_turn(works, options.turns) / [ROW, CALLS, *[1] * len(others)]
+        found = {"core": event_times, "simulate()": event_times, **others}
+        exact = event_times(valve, 1e-13)
+        for index, (what, opening) in enumerate(found.items()):
+            ratio = float(np.median(times[:, index] / times[:, 0]))
+            error = max(abs(a - b) for a, b in zip(opening(valve), exact, strict=True))
+            cells = (f"{name}: {what}", f"{1e6 * np.median(times[:, index]):.1f}", f"{ratio:.0f}", f"{error:.1e}")
+            is_judged = what == "SciPy RK45" and least > 0.0
+            rows.append(Row((*cells, f"≥ {least:g}" if is_judged else ""), ratio >= least if is_judged else None))
+    return rows
 
 
 def live(options: argparse.Namespace) -> list[Row]:
@@ -314,6 +343,7 @@ def long(options: argparse.Namespace) -> list[Row]:
 
 PARTS: Final[Mapping[str, Part]] = {
     "core": Part("runs at 1e-8, one thread", ("what", "each", "wanted"), core),
+    "solvers": Part("15 ms opening, 150 outputs, 1e-8", ("what", "µs", "ratio", "event error, s", "wanted"), solvers),
     "live": Part("live steps of 1 ms", ("what", "each", "wanted"), live),
     "start": Part("start, CPU s", ("effects", "imports", "first result, empty cache", "full cache"), start),
     "commands": Part("what a user waits for", ("what", "measured", "wanted"), commands),

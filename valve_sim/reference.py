@@ -92,7 +92,7 @@ def _channels() -> Iterator[str]:
             "key of a map",
             "attribute of a `Trace`",
             "column of a CSV",
-            "units, the first inside",
+            "units of a map; the first is that of arrays and of a CSV",
             "range",
             "role",
             "what",

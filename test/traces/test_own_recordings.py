@@ -416,6 +416,28 @@ def test_a_first_map_of_a_coil_alone_takes_no_command_for_a_position(tmp_path: P
     np.testing.assert_array_equal(found.drive.volts, own.drive.volts)
 
 
+@pytest.mark.parametrize(
+    ("header", "level", "expected"),
+    [
+        ("outlet_pressure [bar]", 20.0, "outlet_pressure"),
+        ("coil_temp [°C]", 24.0, "temperature"),
+        ("CH3", 0.5, "current"),
+    ],
+)
+def test_the_last_column_is_a_current_only_where_nothing_says_what_it_is(
+    header: str, level: float, expected: str, tmp_path: Path, made: Recording
+) -> None:
+    held = made.volts[np.maximum(np.searchsorted(made.command_times, made.times, side="right") - 1, 0)]
+    last = level * (1.0 + 0.02 * np.sin(40.0 * made.times))
+    columns = np.column_stack([made.times, held, 1e3 * made.pilot_position, last])
+    path = tmp_path / "log.csv"
+    np.savetxt(path, columns, delimiter=",", header=f"time [s],CH1 [V],CH2 [mm],{header}", comments="", fmt="%.9g")
+    draft = draft_map(path, VALVE, "valve-sim map")
+    entries = [line.partition(":")[0] for line in draft.splitlines() if line and not line.startswith("#")]
+    assert entries[-1] == expected, draft
+    assert len(entries) == 4, draft
+
+
 def test_nothing_that_moves_is_said(tmp_path: Path, made: Recording) -> None:
     bag = Bag()
     bag.floats("/lab/lvdt", made.times, np.full(len(made.times), 12.5))

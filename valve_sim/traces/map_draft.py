@@ -142,7 +142,8 @@ def _guesses(series: Sequence[Series], parameters: ValveParameters) -> list[Gues
     for quantity in BESIDE:
         named = [entry for entry in rest if _names(entry, quantity)]
         # A current without a name is taken to be the remaining channel of an oscilloscope.
-        unnamed = rest if quantity == "current" and len(rest) == 1 and "column" in rest[0].place else []
+        is_alone = len(rest) == 1 and "column" in rest[0].place
+        unnamed = rest if quantity == "current" and is_alone and not any(_names(rest[0], own) for own in BESIDE) else []
         for entry in [found for found in named or unnamed if _is_possible(quantity, found, parameters)][:1]:
             rest.remove(entry)
             guesses.append(_other_guess(quantity, entry, is_named=bool(named), parameters=parameters))
@@ -176,8 +177,12 @@ def _best(series: Sequence[Series], score: Callable[[Series], float]) -> Series 
 
 
 def _names(entry: Series, quantity: str) -> bool:
-    units = UNITS[CHANNELS[quantity].dimension]
-    return bool(re.search(HINTS[quantity], entry.words)) or (entry.unit in units and entry.unit not in ("g", "m"))
+    """Whether its words say that it is this quantity, or its unit where its words say no other."""
+    if re.search(HINTS[quantity], entry.words):
+        return True
+    if any(re.search(HINTS[other], entry.words) for other in BESIDE):
+        return False
+    return entry.unit in UNITS[CHANNELS[quantity].dimension] and entry.unit not in ("g", "m")
 
 
 def _voltage_score(entry: Series) -> float:

@@ -118,3 +118,20 @@ def test_without_held_out_data_nothing_is_predicted() -> None:
     assert nothing.predicted(result) is None
     assert nothing.log_odds_of_unnamed(result) == 0.0
     assert nothing.log_density(result) is None
+
+
+def test_an_error_of_the_recording_takes_up_what_it_can_of_a_wrong_machine() -> None:
+    """A level that training hardly knows, and a clock's error, show in the same way: nothing of the first is left."""
+
+    class Alike(Stretched):
+        def predict(self, values: Mapping[str, float]) -> list[Array]:
+            size = self.strength * values.get("level", 0.0) + values.get("clock", 0.0)
+            return [size * COLUMNS[:, 0] + values.get("known", 0.0) * COLUMNS[:, 1]]
+
+    noise = np.random.default_rng(6).standard_normal((2, SAMPLES))
+    plant, other = (Alike(2.0 * COLUMNS[:, 0] + SIGMA * own, 1.0) for own in noise)
+    result = trained(plant)
+    assert result.stderr("level") > 10.0 * SIGMA / np.sqrt(SAMPLES)
+    found = HeldOut(problem_of(other)).predicted(result)
+    assert found is not None
+    assert np.mean(np.square(found.bands[0])) < 1.02 * SIGMA**2

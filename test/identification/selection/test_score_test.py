@@ -20,7 +20,7 @@ from identification.selection.linear_plant import (
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Array, EffectChoice, Nuisance
-from valve_sim.identification.selection.score_test import OrthogonalProjector, log_gains, moves_of
+from valve_sim.identification.selection.score_test import OrthogonalProjector, log_gains, moves_of, released_spread
 from valve_sim.model import Parameter, SimulationError
 
 
@@ -239,3 +239,15 @@ def test_a_declared_value_of_which_the_data_say_nothing_gains_nothing() -> None:
     assert log_gains(fit(problem_of(plant), ("level",), {}, nuisances=plant.nuisances))["valve.slope"] == -math.inf
     # Nor one that the fit does not estimate.
     assert log_gains(fit(problem_of(plant), ("level",), {}))["valve.slope"] == -math.inf
+
+
+def test_a_released_value_spreads_by_what_the_data_alone_say_of_it_and_by_its_tolerance() -> None:
+    """By least squares; infinitely where the data do not show it."""
+    shown, hidden = Nuisance("shown", 0.02, "m", is_of_machine=True), Nuisance("hidden", 0.02, "m", is_of_machine=True)
+    plant = LinearPlant(
+        measured(), lambda values: values.get("shown", 0.0) * COLUMNS[:, 1], nuisances=[shown, hidden]
+    )  # fmt: skip
+    base = fit(problem_of(plant), ("level",), {}, nuisances=plant.nuisances)
+    information = least_squares(COLUMNS[:, :1], COLUMNS[:, 1]) / SIGMA**2
+    assert released_spread(base, shown) == pytest.approx(math.hypot(information**-0.5, 0.02), rel=1e-3)
+    assert math.isinf(released_spread(base, hidden))
