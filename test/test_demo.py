@@ -153,7 +153,7 @@ def stroke_events(offset: float) -> StrokeEvents:
 
 def test_comparison_takes_the_mean_of_the_strokes_and_says_how_well_a_time_is_known():
     whole, later = stroke_events(1e-5), stroke_events(3e-5)
-    holed = later._replace(events=tuple(event._replace(uncertainty=4.5e-4) for event in later.events))
+    holed = later._replace(events=tuple(event._replace(stderr=4.5e-4) for event in later.events))
     lines = plain(comparison([whole, holed])).splitlines()
     rows = {
         name: [cell.strip() for cell in line.split("│")[2:6]]
@@ -242,7 +242,7 @@ def test_demonstration_shows_records_and_compares(tmp_path: Path):
         # Counted from when the coil has its voltage: how late a busy machine hands a command over does not matter. What
         # its recorder misses does: an arrival in such a gap is anywhere in it, √12 of its standard errors long.
         for kind, when in (("pilot_reaches_main", 5.3e-3), ("reaches_stop", 9.9e-3)):
-            open_for = np.sqrt(12.0) * events[kind].uncertainty
+            open_for = np.sqrt(12.0) * events[kind].stderr
             assert events[kind].after_command == pytest.approx(when, abs=1e-5 + open_for)
         recorded = [1e3 * event.after_command for event in found.events]
         if is_whole:

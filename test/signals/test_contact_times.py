@@ -74,8 +74,8 @@ def test_arrivals_are_within_their_errors_at_any_rate(rate: float, noise: float)
             for event in found:
                 inside = (one for one in events if stroke.start < one.time < stroke.stop)
                 truth = next(one.time for one in inside if one.kind in TRUTH[event.kind])
-                deviations.append((event.time - truth) / event.uncertainty)
-                assert event.uncertainty < 1.0 / rate + 8.0 * noise / 0.1
+                deviations.append((event.time - truth) / event.stderr)
+                assert event.stderr < 1.0 / rate + 8.0 * noise / 0.1
     assert len(deviations) == 4 * 8 * len(PLANTS)
     assert np.mean(np.abs(deviations) < 1.96) >= 0.95
     assert np.mean(np.abs(deviations) < 3.0) >= 0.985
@@ -85,7 +85,7 @@ def test_dense_samples_tell_more_than_their_interval() -> None:
     random = np.random.default_rng(4)
     found = [event for index in range(3) for one in events_from_sensors(measured(index, 20e3, 1e-6, random), GAP)
              for event in one.events]  # fmt: skip
-    assert np.median([event.uncertainty for event in found]) < 7e-6
+    assert np.median([event.stderr for event in found]) < 7e-6
 
 
 @pytest.mark.parametrize(("colour", "step"), [(0.7, 0.0), (0.0, 5e-6)])
@@ -106,5 +106,5 @@ def test_noise_with_a_colour_and_a_coarse_sensor_widen_the_errors(colour: float,
             for one in strokes(index).run.events:
                 if one.kind in truth and stroke.start < one.time < stroke.stop:
                     event = times[truth[one.kind]]
-                    deviations.append((event.time - one.time) / event.uncertainty)
+                    deviations.append((event.time - one.time) / event.stderr)
     assert np.mean(np.abs(deviations) < 1.96) >= 0.93

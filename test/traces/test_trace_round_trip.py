@@ -226,16 +226,14 @@ def test_no_motion_in_noise_of_any_colour() -> None:
         assert not any(stroke.moved for stroke in find_stroke_parts(trace))
 
 
-def test_arrivals_from_positions_hit_the_truth_within_their_uncertainty() -> None:
+def test_arrivals_from_positions_hit_the_truth_within_their_standard_errors() -> None:
     deviations = []
     for seed in range(40):
         opening = events_from_sensors(clean_trace(seed=seed), GAP)[0]
         assert [event.kind for event in opening.events] == ["pilot_reaches_main", "reaches_stop"]
         truth = (REACHES_MAIN, REACHES_STOP)
-        deviations += [
-            (event.time - true) / event.uncertainty for event, true in zip(opening.events, truth, strict=True)
-        ]
-        assert opening.events[1].uncertainty < 20e-6
+        deviations += [(event.time - true) / event.stderr for event, true in zip(opening.events, truth, strict=True)]
+        assert opening.events[1].stderr < 20e-6
         assert opening.events[1].after_command == pytest.approx(opening.events[1].time - 0.010)
     assert 0.5 < np.std(deviations) < 1.7
     assert abs(np.mean(deviations)) < 0.5

@@ -120,6 +120,6 @@ def _print_summary(summary: TraceSummary, arrivals: Sequence[StrokeEvents]) -> N
         click.echo(f"  {stroke.name}" + ("" if stroke.moved else ": nothing moved"))
         for event in seen.get(stroke, ()):
             words = f"{event.kind.replace('_', ' ')} ({event.sensor})"
-            click.echo(f"    {words:<34}{1e3 * event.after_command:9.3f} ± {1e3 * event.uncertainty:.3f} ms")
+            click.echo(f"    {words:<34}{1e3 * event.after_command:9.3f} ± {1e3 * event.stderr:.3f} ms")
     for finding in summary.findings:
         click.echo(shown(f"  note: {finding}"))

@@ -149,5 +149,5 @@ def comparison(strokes: Sequence[StrokeEvents]) -> Table:
 
 def _shown(event: SensorEvent) -> str:
     """When an event was, ms; with its error where more than its last digits are open, as where messages were lost."""
-    error = f" ± {1e3 * event.uncertainty:.2f}" if event.uncertainty > COARSE else ""
+    error = f" ± {1e3 * event.stderr:.2f}" if event.stderr > COARSE else ""
     return f"{1e3 * event.after_command:.3f}{error}"

@@ -81,7 +81,7 @@ class Contact(NamedTuple):
     """When a motion got to a level, s, and the standard error of that, s."""
 
     time: float
-    uncertainty: float
+    stderr: float
 
 
 def contact_time(times: Array, way: Array, length: float, noise: PositionNoise, beyond: float = 0.0) -> Contact | None:

@@ -33,7 +33,7 @@ class Bend(NamedTuple):
     """A bend of a current: time, s, and its standard error, s."""
 
     time: float
-    uncertainty: float
+    stderr: float
 
 
 def find_bends(times: Array, current: Array, *, closes: bool) -> tuple[Bend | None, Bend | None]:

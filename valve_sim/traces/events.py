@@ -57,7 +57,7 @@ class SensorEvent(NamedTuple):
         kind: "pilot_reaches_main" (t1), "reaches_stop" (t2), and on the way back "main_seats", "reaches_seat".
         time: s on the trace's clock.
         after_command: s since the stroke's command.
-        uncertainty: Standard error of `after_command`, s, from the sensor's noise, the interval of its samples, and how
+        stderr: Standard error of `after_command`, s, from the sensor's noise, the interval of its samples, and how
             well the command's time is known. What lag a sensor has is not in it.
         sensor: "position" or "acceleration"; "current" where no position was recorded.
     """
@@ -65,7 +65,7 @@ class SensorEvent(NamedTuple):
     kind: str
     time: float
     after_command: float
-    uncertainty: float
+    stderr: float
     sensor: str
 
 
@@ -107,7 +107,7 @@ def _of_stroke(trace: Trace, stroke: StrokePart, events: Sequence[SensorEvent]) 
     if trace.drive_errors is not None:
         command = int(np.searchsorted(trace.drive.times, stroke.start, side="right")) - 1
         error = float(trace.drive_errors.times[command]) if command >= 0 else 0.0
-        events = [event._replace(uncertainty=float(np.hypot(event.uncertainty, error))) for event in events]
+        events = [event._replace(stderr=float(np.hypot(event.stderr, error))) for event in events]
     return StrokeEvents(stroke, tuple(events))
 
 
@@ -137,7 +137,7 @@ def _by_position(trace: Trace, stroke: StrokePart, levels: _Levels) -> Iterator[
             continue
         contact = contact_time(times, way, length, noise, beyond) if min(length, second) > 0.0 else None
         if contact is not None:
-            yield SensorEvent(kind, contact.time, contact.time - stroke.start, contact.uncertainty, "position")
+            yield SensorEvent(kind, contact.time, contact.time - stroke.start, contact.stderr, "position")
 
 
 def _rest_levels(position: Array, pilot_gap: float) -> _Levels:
@@ -185,7 +185,7 @@ def _by_current(signal: Signal | None, stroke: StrokePart) -> Iterator[SensorEve
     kinds = ("reaches_seat", "main_seats") if is_closing else ("reaches_stop", "pilot_reaches_main")
     for kind, bend in ((kinds[1], slowed), (kinds[0], halted)):
         if bend is not None:
-            yield SensorEvent(kind, bend.time, bend.time - stroke.start, bend.uncertainty, "current")
+            yield SensorEvent(kind, bend.time, bend.time - stroke.start, bend.stderr, "current")
 
 
 def _by_acceleration(signal: Signal | None, stroke: StrokePart, seen: tuple[SensorEvent, ...]) -> Iterator[SensorEvent]:

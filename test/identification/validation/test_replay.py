@@ -112,7 +112,7 @@ def test_arrivals_agree_with_the_model_within_their_error(good: Validation):
     arrivals = [arrival for stroke in good.replays[0].strokes for arrival in stroke.arrivals]
     kinds = {arrival.kind for arrival in arrivals}
     assert kinds == {"pilot_reaches_main", "reaches_stop", "main_seats", "reaches_seat"}
-    deviations = [(arrival.measured - arrival.model) / arrival.uncertainty for arrival in arrivals]
+    deviations = [(arrival.measured - arrival.model) / arrival.stderr for arrival in arrivals]
     assert np.sqrt(np.mean(np.square(deviations))) < 2.0
 
 

@@ -419,7 +419,7 @@ def _retimed(trace: Trace, shifts: Array) -> Trace:
 def _arrivals(trace: Trace, valve: Valve) -> dict[str, tuple[float, float]]:
     """Arrivals by kind: s after the command, and the standard error; by positions, or by the bends of the current."""
     strokes = events_from_sensors(trace, valve.parameters.pilot_gap)
-    return {event.kind: (event.after_command, event.uncertainty) for stroke in strokes for event in stroke.events}
+    return {event.kind: (event.after_command, event.stderr) for stroke in strokes for event in stroke.events}
 
 
 def _opening_delay(trace: Trace, valve: Valve, lateness: float) -> float:

@@ -89,7 +89,7 @@ def _arrival_json(arrival: Arrival) -> dict[str, Any]:
         "kind": arrival.kind,
         "sensor": arrival.sensor,
         "measured_ms": 1e3 * arrival.measured,
-        "stderr_ms": 1e3 * arrival.uncertainty,
+        "stderr_ms": 1e3 * arrival.stderr,
         "model_ms": 1e3 * arrival.model,
     }
 
@@ -119,7 +119,7 @@ def _arrival_lines(replay: Replay) -> Iterator[str]:
     for stroke in replay.strokes:
         for arrival in stroke.arrivals:
             name = f"{arrival.kind.replace('_', ' ')} ({arrival.sensor})"
-            measured = f"{1e3 * arrival.measured:.3f} ± {1e3 * arrival.uncertainty:.3f}"
+            measured = f"{1e3 * arrival.measured:.3f} ± {1e3 * arrival.stderr:.3f}"
             model, apart = 1e3 * arrival.model, 1e3 * (arrival.measured - arrival.model)
             yield f"  {name:<32}{measured:>18}{model:>9.3f}{apart:>+9.3f}  {stroke.name}"
 

@@ -96,7 +96,7 @@ class Arrival(NamedTuple):
     kind: str
     sensor: str
     measured: float
-    uncertainty: float
+    stderr: float
     model: float
 
 
@@ -385,7 +385,7 @@ def _stroke_checks(
 def _arrival(event: SensorEvent, stroke: StrokePart, events: Sequence[Event], offset: float) -> Arrival:
     """What the sensors saw beside what the model has of a stroke's events."""
     modelled = (found.time - stroke.start for found in events if found.kind in _ARRIVALS[event.kind])
-    return Arrival(event.kind, event.sensor, event.after_command - offset, event.uncertainty, next(modelled, math.nan))
+    return Arrival(event.kind, event.sensor, event.after_command - offset, event.stderr, next(modelled, math.nan))
 
 
 class Motion(NamedTuple):
