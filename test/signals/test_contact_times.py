@@ -63,10 +63,12 @@ def measured(index: int, rate: float, noise: float, random: np.random.Generator)
 
 @pytest.mark.parametrize("noise", [0.2e-6, 1e-6, 5e-6])
 @pytest.mark.parametrize("rate", [500.0, 1e3, 2e3, 5e3, 20e3])
-def test_arrivals_are_within_their_errors_at_any_rate(rate: float, noise: float) -> None:
+@pytest.mark.parametrize("plants", [5, pytest.param(len(PLANTS), marks=pytest.mark.long)])
+def test_arrivals_are_within_their_errors_at_any_rate(rate: float, noise: float, plants: int) -> None:
+    """The plants of another form are compiled for it, which takes a quarter of a minute."""
     random = np.random.default_rng(round(rate + noise * 1e9))
     deviations = []
-    for index in range(len(PLANTS)):
+    for index in range(plants):
         events = strokes(index).run.events
         for stroke, found in events_from_sensors(measured(index, rate, noise, random), GAP):
             closes = stroke.kind == "closing"
@@ -76,7 +78,7 @@ def test_arrivals_are_within_their_errors_at_any_rate(rate: float, noise: float)
                 truth = next(one.time for one in inside if one.kind in TRUTH[event.kind])
                 deviations.append((event.time - truth) / event.stderr)
                 assert event.stderr < 1.0 / rate + 8.0 * noise / 0.1
-    assert len(deviations) == 4 * 8 * len(PLANTS)
+    assert len(deviations) == 4 * 8 * plants
     assert np.mean(np.abs(deviations) < 1.96) >= 0.95
     assert np.mean(np.abs(deviations) < 3.0) >= 0.985
 

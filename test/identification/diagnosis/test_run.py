@@ -143,6 +143,7 @@ def test_what_has_no_name_gets_none() -> None:
     assert to_json(diagnosis)["unexplained"]["force_rms_n"] > 0.0
 
 
+@pytest.mark.long
 def test_what_shows_in_held_out_data_alone_is_not_nothing() -> None:
     recorder = Recorder(sample_rate=5e3)
     train = measured({}, train_profile(), recorder, 80)
