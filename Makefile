@@ -79,6 +79,7 @@ lint:
 	$(PYTHON) -m ruff check .
 	$(PYTHON) -m ruff format --check .
 	$(PYTHON) -m codespell_lib
+	$(PYTHON) -m proselint check README.md QUALITY_DECLARATION.md docs/*.md docs/*/*.md
 
 types:
 	$(PYTHON) -m mypy

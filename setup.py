@@ -71,7 +71,7 @@ CHECKS = [
     "scipy-stubs",
     "types-PyYAML",
 ]
-DOCUMENTATION = ["furo", "ipykernel", "latex2mathml", "myst-nb", "sphinx>=7.3", "sphinx-click"]
+DOCUMENTATION = ["furo", "ipykernel", "latex2mathml", "myst-nb", "proselint>=0.16", "sphinx>=7.3", "sphinx-click"]
 
 
 def shared_files(*folders: str) -> list[tuple[str, list[str]]]:
