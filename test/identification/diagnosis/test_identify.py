@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -43,6 +45,15 @@ def test_both_dampings_come_out(recorder: Recorder) -> None:
         assert result.valve.declared()[name] == interval.value
     assert result.rmse_after < result.rmse_before
     assert result.findings == ()
+
+
+def test_the_reference_names_what_the_report_has() -> None:
+    report = identification_json(identify([one_opening()], EXACT_VALVE))
+    page = (Path(__file__).parents[3] / "docs" / "reference" / "report_json.md").read_text(encoding="utf-8")
+    of_identify = page.split("## The report of identify")[1].split("\n## ")[0]
+    named = set(re.findall(r"`(\w+)`", of_identify))
+    assert set(report) <= named
+    assert set(re.findall(r"^\| `(\w+)`", of_identify, re.MULTILINE)) <= set(report)
 
 
 @pytest.mark.long
