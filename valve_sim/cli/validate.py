@@ -54,7 +54,10 @@ def _tolerance_option(unit: str, words: str) -> Callable[[Decorated], Decorated]
 @_tolerance_option("kpa", "Largest rms error of the outlet's pressure, kPa, for a valve with gas.")
 @click.option("--junit", metavar="XML", type=FILE, help="Write a JUnit report, a test case for each stroke.")
 @click.option(
-    "--plot", metavar="PNG", type=FILE, help="Draw measured and predicted position, and the residual (one BAG)."
+    "--plot",
+    metavar="PNG",
+    type=FILE,
+    help="Draw what was measured and predicted, and the residual (one BAG; its first signal).",
 )
 @valve_option
 @map_option

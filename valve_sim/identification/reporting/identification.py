@@ -32,6 +32,7 @@ def identification_json(result: Identification) -> dict[str, Any]:
         "schema": "valve_sim/identification/1",
         "sources": list(result.sources),
         "unit": unit,
+        # noise_um, and in place of the plain number all that is known of the noise.
         **in_unit("noise", scale * noise.sigma, unit),
         "noise": {
             **in_unit("sigma", scale * noise.sigma, unit),
