@@ -1,8 +1,8 @@
 """Do the short tests of a room notice small faults in it? `python -m benchmarks.mutation identification/selection`.
 
 A mutant is the room with one fault: an exchanged comparison or operator, another constant, a forced condition, a
-missing statement. In a copy of the checkout, with a cache of its own, the tests that execute its line run, fastest first, then
-the rest of their files. It survives if all pass, or if no test executes its line. A line that runs when its file is
+missing statement. In a copy of the checkout, with a cache of its own, the tests that execute its line run, fastest
+first, then the rest of their files. It survives if all pass, or if no test executes its line. A line that runs when its file is
 imported, or whose source is compiled, is tested by all tests of the file's functions, or of the room. `--against`
 measures another checkout. Needs coverage.py, which comes with the extra `checks`.
 """
