@@ -2,9 +2,9 @@
 
 A mutant is the room with one fault: an exchanged comparison or operator, another constant, a forced condition, a
 missing statement. In a copy of the checkout, with a cache of its own, the tests that execute its line run, fastest
-first, then the rest of their files. It survives if all pass, or if no test executes its line. A line that runs when its file is
-imported, or whose source is compiled, is tested by all tests of the file's functions, or of the room. `--against`
-measures another checkout. Needs coverage.py, which comes with the extra `checks`.
+first, then the rest of their files. It survives if all pass, or if no test executes its line. A line that runs when
+its file is imported, or whose source is compiled, is tested by all tests of the file's functions, or of the room.
+`--against` measures another checkout. Needs coverage.py, which comes with the extra `checks`.
 """
 
 from __future__ import annotations
@@ -133,7 +133,8 @@ def faults(node: ast.AST) -> Iterator[tuple[str, ast.AST | None]]:
         case ast.Constant(value=int() | float() as value):
             near = value + 1 if isinstance(value, int) else 1.1 * value or 0.1
             yield f"{value} → {near:g}", ast.Constant(near)
-            yield f"{value} → −{value}", ast.UnaryOp(ast.USub(), node)
+            if value:
+                yield f"{value} → −{value}", ast.UnaryOp(ast.USub(), node)
         case ast.UnaryOp(op=ast.Not() | ast.USub(), operand=operand):
             yield f"{type(node.op).__name__} left out", operand
         case ast.If() | ast.IfExp():
