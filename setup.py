@@ -102,7 +102,6 @@ setup(
         NAME: ["py.typed"],
         f"{NAME}.files": ["plant_templates/*.yaml"],
         f"{NAME}.fleet": ["templates/*.j2"],
-        f"{NAME}.records": ["templates/*.j2"],
         f"{NAME}.identification.reporting": ["templates/*.j2"],
     },
     data_files=[
