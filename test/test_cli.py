@@ -33,7 +33,6 @@ COMMANDS = (
     "fit-force",
     "fleet",
     "export-fmu",
-    "commission",
     "history",
 )
 
