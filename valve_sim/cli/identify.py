@@ -17,7 +17,7 @@ from valve_sim.cli.options import (
     plant_option,
     valve_option,
 )
-from valve_sim.cli.own_plant import chosen_params, is_own, read_plant, say_better_conventions
+from valve_sim.cli.own_plant import chosen_params, is_own, read_plant
 from valve_sim.cli.printing import print_report, progress_bar, provenance, refuse
 from valve_sim.cli.reading import declared_valve, read_recordings
 from valve_sim.files.ledger import plan_files
@@ -55,7 +55,7 @@ def identify(
     and DIR/identified.yaml, which valve_node, simulate and validate load.
       valve-sim identify bags/eight_strokes.mcap --output results
 
-    Several recordings, with other parameters than the dampings:
+    Several recordings, which share the valve, with other parameters than the dampings:
       valve-sim identify day_1 day_2 --params my_valve.yaml \
           --free pilot_damping,main_damping,a0 --output results
     A machine of your own:
@@ -85,7 +85,6 @@ def identify(
         work = partial(identify_valve, read_recordings(bags, name, valve), valve, names)
     with progress_bar() as progress:
         result = work(progress)
-    say_better_conventions(result.fit)
     report = identification_json(result)
     written = write_identification(result, output, provenance(params, []), report=report)
     print_report(report, identification_text(result), written, as_json)
