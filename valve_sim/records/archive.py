@@ -39,7 +39,9 @@ COLUMNS: Final[dict[Kind, dict[str, Type]]] = {
 """Columns of each kind beside `valve` and `time`, in SI."""
 _BEYOND: Final = 2.0**63
 """Larger numbers have no place in a column of integers, and mean nothing in one of figures."""
-_WORDS: Final = {"REAL": "a number", "INTEGER": "an integer of 64 bits", "TEXT": "a text"}
+_WORDS: Final[dict[Type | None, str]] = {
+    "REAL": "a number", "INTEGER": "an integer of 64 bits", "TEXT": "a text", None: "no such column",
+}  # fmt: skip
 _AFTER_MONTH: Final = "~"
 """Sorts after each time of a month that it is appended to."""
 
@@ -202,7 +204,7 @@ def _checked(of: Type | None, name: str, value: object) -> object:
             return value
     if of == "REAL" and isinstance(value, float):
         return None  # NaN or infinite
-    raise ValveError(f"{name}: found {value!r:.60}, expected {_WORDS.get(of, 'no such column')}")
+    raise ValveError(f"{name}: found {value!r:.60}, expected {_WORDS[of]}")
 
 
 def _text(at: datetime) -> str:
