@@ -91,7 +91,7 @@ class Plan:
             )
         key = f"{system.trace.digest()} {width}"
         self.parameters, self.states = system.parameters, kernels.names
-        self._library = library(key, kernels.text)
+        self._library = library(key, kernels.text, is_straight=True)
         blank = np.zeros(layout.SIZE)
         for name in kernels.made:
             blank[_SLOTS[name]] = as_double(self._library.address(name))

@@ -76,9 +76,13 @@ def first_fall(b: Block, c: int, h: float, unsure: float) -> float:
     p = b[SCRATCH:]
     slopes = b[SCRATCH + TERMS :]
     power = 1.0
+    size = 0.0
     for k in range(TERMS):
         p[k] = b[c + k] * power
+        size += abs(p[k])
         power *= h
+    if size == 0.0:
+        return 2.0 * h
     left = 0.0
     width = 1.0
     for _ in range(MOST_TRIALS):
