@@ -23,7 +23,7 @@ def masses(line: float, tank: float) -> tuple[float, float]:
 
 def test_no_mass_is_lost_whatever_flows_and_however_long_a_step_is() -> None:
     random = np.random.default_rng(20)
-    for _ in range(300):
+    for _ in range(100):
         before = masses(*10.0 ** random.uniform(5.0, 7.9, 2))
         seconds, is_open = 10.0 ** random.uniform(-4.0, 2.0), bool(random.integers(2))
         after, came = LINE.step(before, 10.0 ** random.uniform(5.0, 7.9, 3), seconds, is_open=is_open)
@@ -49,13 +49,13 @@ def test_agrees_with_an_implicit_integration_of_another_flux() -> None:
 
     found = masses(20e6, 2e6)
     start = [found[0] / LINE.volume, found[1] / LINE.filled]
-    theirs = solve_ivp(rates, (0.0, 2.0), start, method="Radau", rtol=1e-7, t_eval=[0.1, 0.5, 2.0])
+    theirs = solve_ivp(rates, (0.0, 0.5), start, method="Radau", rtol=1e-7, t_eval=[0.1, 0.5])
     given = 0.0
-    for k in range(1, 10001):
-        found, came = LINE.step(found, pressures, 2e-4)
+    for k in range(1, 2001):
+        found, came = LINE.step(found, pressures, 2.5e-4)
         given += sum(came)
-        if k in (500, 2500, 10000):
-            expected = [pressure(density) for density in theirs.y[:, [500, 2500, 10000].index(k)]]
+        if k in (400, 2000):
+            expected = [pressure(density) for density in theirs.y[:, [400, 2000].index(k)]]
             ours = GAS.pressure(found[0], LINE.volume), GAS.pressure(found[1], LINE.filled)
             np.testing.assert_allclose(ours, expected, rtol=2e-3)
     assert sum(found) == pytest.approx(sum(masses(20e6, 2e6)) + given, rel=1e-9)
