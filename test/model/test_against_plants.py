@@ -48,12 +48,6 @@ def events_of(events: Sequence[PlantEvent]) -> list[tuple[float, EventKind]]:
     return found
 
 
-def test_every_effect_is_compared() -> None:
-    """Here, or where a flux is integrated (test_flux), with gas (gas/test_effects), or in core/test_physics."""
-    elsewhere = {"motional_emf", "seat_leak", "pilot_clogging", "stop_compliance"}
-    assert {*RANGES, *elsewhere} == {name for name, effect in CATALOGUE.items() if effect.named}
-
-
 @pytest.mark.parametrize("name", RANGES)
 @pytest.mark.parametrize("profile", [train_profile(), holdout_profile()], ids=["train", "holdout"])
 def test_an_effect_is_what_the_plant_says(name: str, profile: Profile) -> None:

@@ -37,14 +37,3 @@ def test_the_table_shows_pressure_and_flow(tmp_path: Path, tank: int, opens: flo
     assert flow[0] == 0.0
     assert pressure[-1] == pytest.approx(tank * 1e6, rel=1e-6)
     assert flow.max() > 5e-4 and abs(flow[-1]) < 1e-6
-
-
-def test_a_pressure_force_beside_gas_is_refused(tmp_path: Path) -> None:
-    text = config_path("hydrogen_35mpa.yaml").read_text(encoding="utf-8")
-    both = tmp_path / "both.yaml"
-    effects = "    effects: {pressure_force: {force: 1.0, equalisation_time: 0.1}}\n"
-    both.write_text(text + effects, encoding="utf-8")
-    code, output, table = simulate(tmp_path, both)
-    assert code == 2
-    assert "effects.pressure_force: found beside gas" in output
-    assert not table.exists()
