@@ -52,7 +52,7 @@ def balanced(seed: int) -> bool:
 
 
 @pytest.mark.parametrize(
-    "seed", [*range(5), 153, 198, *(pytest.param(seed, marks=pytest.mark.long) for seed in (*range(5, 20), 166))]
+    "seed", [0, 1, 153, 198, *(pytest.param(seed, marks=pytest.mark.long) for seed in (*range(2, 20), 166))]
 )
 def test_agrees_with_dop853(seed: int) -> None:
     position, moment, current, same = differences(seed, 1e-12)
@@ -63,7 +63,7 @@ def test_agrees_with_dop853(seed: int) -> None:
 
 
 @pytest.mark.parametrize(
-    "seed", [*range(5), 17, *(pytest.param(s, marks=pytest.mark.long) for s in (*range(5, 12), *range(21, 25)))]
+    "seed", [0, 3, 17, *(pytest.param(s, marks=pytest.mark.long) for s in (*range(4, 12), *range(21, 25)))]
 )
 def test_a_release_by_a_freewheeling_current_agrees_with_dop853(seed: int) -> None:
     """`python -m benchmarks.accuracy` compares 1,200; in 3 and 17 the plungers leave before the current ends."""
@@ -84,7 +84,9 @@ def test_a_reversed_voltage_lets_go_for_an_instant(release: float) -> None:
     assert response.first(EventKind.RELEASED) == pytest.approx(expected, abs=1e-11)
 
 
-@pytest.mark.parametrize("seed", [seed for seed in range(10) if balanced(seed)])
+@pytest.mark.parametrize(
+    "seed", [s if s < 4 else pytest.param(s, marks=pytest.mark.long) for s in range(10) if balanced(s)]
+)
 def test_the_source_pays_for_losses_field_and_motion(seed: int) -> None:
     assert imbalance(*random_case(seed), END) < 1e-9
 
