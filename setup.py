@@ -57,10 +57,11 @@ PARQUET = ["pyarrow>=14.0"]
 FLEET = ["dask>=2024.1", "distributed>=2024.1", "fsspec>=2024.2", "s3fs>=2024.2", *PARQUET]
 OPCUA = ["asyncua>=2.1,<3"]
 MODBUS = ["pymodbus>=3.16,<4"]
-FMI = ["pythonfmu>=0.7", "pythonfmu3>=0.3.4", "fmpy>=0.3.20"]
+FMI = ["pythonfmu>=0.7", "fmpy>=0.3.20"]
 S3_SERVER = ["flask", "flask-cors", "moto"]
 CHECKS = [
     "codespell>=2.2",
+    "coverage>=7.2",  # of benchmarks.mutation
     "hypothesis",
     "import-linter",
     "mypy",
@@ -101,7 +102,6 @@ setup(
         NAME: ["py.typed"],
         f"{NAME}.files": ["plant_templates/*.yaml"],
         f"{NAME}.fleet": ["templates/*.j2"],
-        f"{NAME}.records": ["templates/*.j2"],
         f"{NAME}.identification.reporting": ["templates/*.j2"],
     },
     data_files=[

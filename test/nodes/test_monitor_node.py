@@ -8,7 +8,6 @@ import signal
 import subprocess
 import time
 from collections.abc import Iterator
-from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +16,9 @@ import pytest
 from identification.live_strokes import LiveValve
 
 from nodes.ros import DiagnosticArray, Float64, JointState, String, Trigger
-from valve_sim.records.calibration import load_changes, save_record
 
 from .plant_on_topics import PlantOnTopics
 from .ros_process import PATIENCE, Diagnostics, Probe, ended, piped, running
-from .test_calibration_watch import signed
 
 pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("ros")]
 
@@ -259,20 +256,3 @@ def joints(names: list[str], positions: list[float]) -> JointState:
     message = JointState(name=names, position=positions)
     message.header.stamp.sec, message.header.stamp.nanosec = divmod(time.time_ns(), 1_000_000_000)
     return message
-
-
-@pytest.mark.any_distribution
-def test_an_expired_calibration_is_a_warning_and_another_declared_value_goes_to_its_journal(
-    probe: Probe, tmp_path: Path
-) -> None:
-    path = tmp_path / "calibration.json"
-    save_record(path, signed(tmp_path, datetime(2020, 1, 1, tzinfo=timezone.utc)))
-    ears = Ears(probe)
-    with monitoring(tmp_path, calibration=path, **{"valve.spring_rate": 431.0}) as process:
-        words = "the calibration of SN-7 expired on 2020-12-31; calibrate it anew"
-        assert probe.until(lambda: ears.is_said("calibration", 1, words))
-        said = ended(process, signal.SIGINT)
-    assert "Traceback" not in said
-    assert said.count(words) == 1
-    assert "changed since the calibration: valve.spring_rate 428.0 → 431.0" in said
-    assert ("valve.spring_rate", 428.0, 431.0) in [change[2:] for change in load_changes(path)]

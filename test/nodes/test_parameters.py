@@ -43,7 +43,7 @@ WITH_GAS = {
 def test_the_table_holds_the_valve_every_effect_and_the_settings() -> None:
     valve = {f"valve.{name}" for name in ValveParameters._fields}
     effects = {f"effects.{effect.name}.{name}" for effect in CATALOGUE.values() for name in effect.given_names}
-    settings = {"publish_rate", "time_scale", "command_timeout", "max_voltage", "frame_id", "calibration"}
+    settings = {"publish_rate", "time_scale", "command_timeout", "max_voltage", "frame_id"}
     gas = {f"gas.{name}" for name in GasParameters._fields}
     assert ENTRIES.keys() == valve | effects | settings | gas | {"tolerances"}
 

@@ -7,7 +7,6 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
@@ -31,12 +30,10 @@ from nodes.ros import (
 from valve_sim.files.parameter_files import load_valve
 from valve_sim.files.resources import config_path
 from valve_sim.model import published_times, simulate
-from valve_sim.records.calibration import load_changes, save_record
 from valve_sim.traces import BagRecorder, events_from_sensors, read_trace
 
 from .dumps import TOLERATED, dump, plain_values
 from .ros_process import Diagnostics, NodeProcess, Probe, beside, running
-from .test_calibration_watch import signed
 
 pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("ros")]
 
@@ -224,22 +221,6 @@ def test_parameters_are_validated_and_applied_without_a_jump(rested: Probe) -> N
     assert rested.parameters()["valve.pilot_gap"] == 0.26e-3
     back = rested.set_parameters(valve__spring_rate=428.0, effects__stiction__force=0.0, publish_rate=1000.0)
     assert [result.successful for result in back] == [True] * 3
-
-
-def test_each_change_of_a_calibrated_valve_is_in_the_journal(tmp_path: Path) -> None:
-    record = tmp_path / "calibration.json"
-    save_record(record, signed(tmp_path, datetime.now(timezone.utc)))
-    with beside(tmp_path, "/calibrated", ["-p", f"calibration:={record}"]) as (probe, node):
-        heard = Diagnostics(probe)
-        results = probe.set_parameters(valve__spring_rate=431.0, publish_rate=500.0)
-        assert [result.successful for result in results] == [True] * 2
-        assert not probe.set_parameters(valve__spring_rate=-1.0)[0].successful
-        (change,) = load_changes(record)
-        assert (change.parameter, change.before, change.after) == ("valve.spring_rate", 428.0, 431.0)
-        assert change.by.startswith("/calibrated (")
-        assert not probe.set_parameters(calibration="")[0].successful
-        assert probe.until(lambda: heard.all("calibration"))
-        assert "changed since the calibration: valve.spring_rate 428.0 → 431.0" in node.output
 
 
 def test_a_coil_without_commands_is_de_energised(valve: NodeProcess, rested: Probe) -> None:

@@ -11,7 +11,6 @@ import contextlib
 import json
 import math
 from collections.abc import Sequence
-from datetime import datetime, timezone
 from pathlib import Path
 from typing import Final
 
@@ -70,8 +69,8 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
     start.
 
     Raises:
-        ValveError: a parameter is unknown, of the wrong type or out of range, or the state file or the calibration
-            record cannot be used.
+        ValveError: a parameter is unknown, of the wrong type or out of range, or the state file
+            cannot be used.
     """
 
     def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
@@ -83,7 +82,6 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
         entries = live_inputs(self._settings.map, self._valve) if self._settings.map else {}
         self._state = Path(self._settings.state).expanduser() if self._settings.state else None
         self._kept = None if self._state is None else load_commissioning(self._state, valve)
-        self._calibration = self._watched_calibration(self._settings.calibration, valve)
         self._input = InputCount()
         take = Takers(self._command, self._sample, self._coil, self._pressure, self._end_pressure, self._input.reject)
         has_gas = valve.gas is not None
@@ -253,7 +251,6 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
             model_status(self._stroke_monitor),
             self._input.status(self._clock.elapsed(), self._monitor_thread.lost, waiting_for, unheard),
             isolation_status(self._isolation),
-            *([self._calibration.status(datetime.now(timezone.utc))] if self._calibration else []),
         )
 
     # --- the monitor's thread, and that of fault isolation ---

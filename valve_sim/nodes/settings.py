@@ -93,11 +93,6 @@ class MonitorNodeSettings(NodeSettings):
     )
     frame_id: str = option("", "header.frame_id of the predicted joint states")
     state: str = option("", "file that keeps what commissioning found, for the next start; empty: none")
-    calibration: str = option(
-        "",
-        "calibration.json of `valve-sim commission`: it is said when that has expired, and what the declared valve has "
-        "otherwise is appended to its journal; empty: none",
-    )
     commissioning_strokes: int = option(
         _USUAL.commissioning_strokes, "number of first strokes, taken as the baseline", "–", 8, 1000
     )

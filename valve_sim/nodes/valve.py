@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Iterator, Sequence
-from datetime import datetime, timezone
 from functools import partial
 
 from rcl_interfaces.msg import SetParametersResult
@@ -41,7 +40,7 @@ from valve_sim.nodes.wiring import DuplicateNodes, RosNode
 class ValveNode(RosNode[ValveSettings]):
     """The node `valve`, with the topics and services `topics.VALVE`, and `topics.GAS` from when gas is declared.
 
-    Parameters: `valve_parameters.ValveSettings`; all but `calibration` can be set at run time.
+    Parameters: `valve_parameters.ValveSettings`, which can all be set at run time.
 
     Raises:
         ParameterError: a parameter is unknown, of the wrong type or out of range.
@@ -57,7 +56,6 @@ class ValveNode(RosNode[ValveSettings]):
             command_timeout=self._settings.command_timeout,
             max_voltage=self._settings.max_voltage,
         )
-        self._calibration = self._watched_calibration(self._settings.calibration, self._live.valve)
         self._inbox = Inbox(self._node, self._clock)
         self._gas: GasTopics | None = None
         self._duplicates = DuplicateNodes(self._node)
@@ -245,8 +243,6 @@ class ValveNode(RosNode[ValveSettings]):
         yield valve_status(live, self._failure, self._duplicates.look())
         if self._gas is not None:
             yield from self._gas.statuses()
-        if self._calibration is not None:
-            yield self._calibration.status(datetime.now(timezone.utc))
 
     # --- parameters ---
 
@@ -294,8 +290,6 @@ class ValveNode(RosNode[ValveSettings]):
         if any(name.startswith(VALVE_KEYS) for name in names - {TOLERANCES}):
             valve = self._current_valve()
             self._live.set_valve(now, valve)
-            if self._calibration is not None:
-                self._calibration.note(valve, datetime.now(timezone.utc))
             if valve.gas is not None and self._gas is None:
                 self._gas = self._wire_gas()
             if self._is_ready:

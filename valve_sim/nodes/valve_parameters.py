@@ -49,11 +49,6 @@ class ValveSettings(NodeSettings):
         30.0, "commands beyond it, either sign, are ignored and counted", "V", 0, 1e4, read_only=False
     )
     frame_id: str = option("", "header.frame_id of the joint states", read_only=False)
-    calibration: str = option(
-        "",
-        "calibration.json of `valve-sim commission`: what the valve has otherwise, at the start and when it is set, "
-        "is appended to its journal; empty: none",
-    )
 
     @classmethod
     def table(cls) -> dict[str, NodeParameter]:

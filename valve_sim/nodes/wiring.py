@@ -10,8 +10,6 @@ import inspect
 import signal
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from datetime import datetime, timezone
-from pathlib import Path
 from types import FrameType
 from typing import Any, Generic, Protocol
 
@@ -28,8 +26,8 @@ from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
 from valve_sim.files.parameter_sections import Section
-from valve_sim.model import ParameterError, Valve
-from valve_sim.nodes.diagnostics import CalibrationWatch, Status
+from valve_sim.model import ParameterError
+from valve_sim.nodes.diagnostics import Status
 from valve_sim.nodes.messages import diagnostic_array
 from valve_sim.nodes.node_clock import NodeClock
 from valve_sim.nodes.parameters import NodeParameter, NodeSettings, S, Value, files_for_others, is_of_ros, sources_of
@@ -270,19 +268,6 @@ class RosNode(Generic[S]):
     def _diagnostics(self, statuses: Iterable[Status], stamp: int) -> DiagnosticArray:
         """A message of this node; `stamp` in ns."""
         return diagnostic_array(statuses, self._node.get_fully_qualified_name(), stamp)
-
-    def _watched_calibration(self, path: str, valve: Valve) -> CalibrationWatch | None:
-        """The calibration record at a path, with what is declared otherwise noted; None where the path is empty.
-
-        Raises:
-            ValveError: the record, or its journal, cannot be used.
-        """
-        if not path:
-            return None
-        logger, name = self._node.get_logger(), self._node.get_fully_qualified_name()
-        watch = CalibrationWatch(Path(path).expanduser(), name, logger.warning)
-        watch.note(valve, datetime.now(timezone.utc))
-        return watch
 
     def _fail(self, error: Exception) -> None:
         """End the node, whichever of its threads cannot go on."""
