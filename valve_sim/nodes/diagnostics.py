@@ -1,20 +1,13 @@
-"""What nodes say on /diagnostics, without ROS: timing, command and valve of valve_node, and the calibration record."""
+"""What nodes say on /diagnostics, without ROS; here: timing, command and valve of valve_node."""
 
 from __future__ import annotations
 
 import enum
-import getpass
 import math
-from collections.abc import Callable, Mapping
-from datetime import datetime
-from pathlib import Path
 from typing import Final, NamedTuple
 
-from valve_sim.model import Valve
-from valve_sim.model.errors import ValveError
 from valve_sim.nodes.live_valve import LiveValve
 from valve_sim.nodes.realtime import NANOSECONDS, Timing
-from valve_sim.records.calibration import declared_numbers, load_changes, load_record, note_changes
 
 SLOWEST_ACCEPTED: Final = 0.95
 """Achieved rate over publish_rate below which timing is a warning."""
@@ -143,23 +136,15 @@ def pressure_status(task: str, pressure: float, count: RejectionCount, incompati
     return Status(task, Level.OK, "accepted", values)
 
 
-def valve_status(live: LiveValve, failure: str, duplicates: int) -> Status:
-    """The phase of the valve, and whether it was put back to rest.
-
-    Args:
-        live: the valve. failure: why it was put back to rest last; empty if it never was.
-        duplicates: how many other nodes have this name.
-    """
+def valve_status(live: LiveValve, failure: str) -> Status:
+    """The phase of the valve, and why it was put back to rest last (`failure`, empty if it never was)."""
     values = {
         "phase": live.phase.name.lower(),
         "strokes": str(live.strokes),
         "failures": str(live.failures),
-        "other nodes of this name": str(duplicates),
     }
     if failure:
         return Status("valve", Level.ERROR, f"was put back to rest: {failure}", values)
-    if duplicates:
-        return Status("valve", Level.WARN, "another node has this name, and publishes on the same topics", values)
     return Status("valve", Level.OK, live.phase.name.lower(), values)
 
 
@@ -171,96 +156,3 @@ def unheard_words(publishers: int) -> str:
 def number_words(value: float, form: str) -> str:
     """A number in a format, or "none" for NaN."""
     return "none" if math.isnan(value) else format(value, form)
-
-
-class Reminder:
-    """When a lasting problem gets another line in the log: at once, then at intervals that grow threefold.
-
-    A time without trouble as long as the next interval ends it: what comes later is said at once again.
-
-    Args:
-        first: s from the first line to the second. longest: s that no interval exceeds.
-    """
-
-    def __init__(self, first: float = 10.0, longest: float = 3600.0) -> None:
-        self._first, self._longest = first, longest
-        self._interval = first
-        self._said = self._last = -math.inf
-        self._count = 0
-
-    def line(self, now: float, message: str) -> str:
-        """The line to log about a problem at `now`, s; empty for none."""
-        if now - self._last >= self._interval:
-            self._interval, self._said, self._count = self._first, -math.inf, 0
-        self._last = now
-        self._count += 1
-        if now - self._said < self._interval:
-            return ""
-        is_first = self._said == -math.inf
-        words = message if is_first else f"{message}; seen {self._count} times in the last {now - self._said:.0f} s"
-        if not is_first:
-            self._interval = min(3.0 * self._interval, self._longest)
-        self._said, self._count = now, 0
-        return words
-
-
-class CalibrationWatch:
-    """A record that was loaded, and its journal, to which a node appends what it declares otherwise.
-
-    Args:
-        path: of the record. node: its full name, for the journal. say: logs what a person should know.
-
-    Raises:
-        ValveError: the record, or its journal, cannot be read or was changed by hand.
-    """
-
-    def __init__(self, path: Path, node: str, say: Callable[[str], object]) -> None:
-        self._path, self._node, self._say = path, node, say
-        self._record, self._failure = load_record(path), ""
-        self._changes, self._said = len(load_changes(path)), list[str]()
-        self._noted: Mapping[str, float | None] | None = None
-
-    def note(self, valve: Valve, now: datetime) -> None:
-        """Append to the journal, all or nothing, in what a valve differs from the one declared before; `now` in UTC.
-
-        The first one is compared with the record and its journal. What could not be written is part of the next entry.
-        """
-        declared = declared_numbers(valve)
-        try:
-            changes = note_changes(self._path, declared, f"{self._node} ({_user()})", now, self._noted)
-            self._changes = len(load_changes(self._path))
-        except ValveError as error:
-            self._failure = f"changes are not in the journal: {error}"
-            self._say(self._failure)
-            return
-        self._noted, self._failure = declared, ""
-        for change in changes:
-            self._say(f"changed since the calibration: {change.parameter} {change.before} → {change.after}")
-
-    def status(self, now: datetime) -> Status:
-        """Whether the calibration holds at a time, in UTC: WARN where something speaks against it, which is said once.
-
-        The time is the system's, which has the date also where that of the node is simulated.
-        """
-        record, remarks = self._record, self._record.remarks(now)
-        for words in remarks:
-            if words not in self._said:
-                self._say(words)
-        self._said = remarks
-        values = {
-            "serial number": record.serial_number,
-            "signed by": record.signed_by,
-            "signed at": record.signed_at,
-            "valid until": record.valid_until,
-            "changes since": str(self._changes),
-        }
-        against = [*remarks, *([self._failure] if self._failure else [])]
-        words = "; ".join(against) or f"valid until {record.valid_until}"
-        return Status("calibration", Level.WARN if against else Level.OK, words, values)
-
-
-def _user() -> str:
-    try:
-        return getpass.getuser()
-    except (OSError, KeyError):
-        return "a user without a name"

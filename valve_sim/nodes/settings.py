@@ -88,16 +88,8 @@ class MonitorNodeSettings(NodeSettings):
         "topic of the measured positions below it, or of the coil (measured/coil): the current alone; joint_states and "
         "coil: a simulated valve's",
     )
-    map: str = option(
-        "", "file that says which topics, fields and units those of the valve are; empty: those of this package"
-    )
     frame_id: str = option("", "header.frame_id of the predicted joint states")
     state: str = option("", "file that keeps what commissioning found, for the next start; empty: none")
-    calibration: str = option(
-        "",
-        "calibration.json of `valve-sim commission`: it is said when that has expired, and what the declared valve has "
-        "otherwise is appended to its journal; empty: none",
-    )
     commissioning_strokes: int = option(
         _USUAL.commissioning_strokes, "number of first strokes, taken as the baseline", "–", 8, 1000
     )
