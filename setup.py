@@ -61,6 +61,7 @@ FMI = ["pythonfmu>=0.7", "pythonfmu3>=0.3.4", "fmpy>=0.3.20"]
 S3_SERVER = ["flask", "flask-cors", "moto"]
 CHECKS = [
     "codespell>=2.2",
+    "coverage>=7.2",  # of benchmarks.mutation
     "hypothesis",
     "import-linter",
     "mypy",
@@ -101,7 +102,6 @@ setup(
         NAME: ["py.typed"],
         f"{NAME}.files": ["plant_templates/*.yaml"],
         f"{NAME}.fleet": ["templates/*.j2"],
-        f"{NAME}.records": ["templates/*.j2"],
         f"{NAME}.identification.reporting": ["templates/*.j2"],
     },
     data_files=[

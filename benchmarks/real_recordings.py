@@ -22,8 +22,8 @@ from click.testing import CliRunner
 from benchmarks.common import parser
 from valve_sim.cli import main as valve_sim
 from valve_sim.files.plant_files import load_plant
+from valve_sim.identification.estimation.gram import root_mean_square
 from valve_sim.identification.plants.own import OwnPlant
-from valve_sim.identification.plants.root_mean_square import root_mean_square
 from valve_sim.traces.columns import read
 
 EXAMPLES: Final = Path(__file__).resolve().parents[1] / "docs" / "examples" / "own_plants"

@@ -33,7 +33,6 @@ COMMANDS = (
     "fit-force",
     "fleet",
     "export-fmu",
-    "commission",
     "history",
 )
 
@@ -530,20 +529,6 @@ def test_the_python_and_the_parameter_file_of_the_readme_work(tmp_path: Path):
     (parameters,) = readme_blocks("yaml")
     (tmp_path / "readme.yaml").write_text(parameters)
     assert load_valve(tmp_path / "readme.yaml").effects == {"coulomb_friction": {"force": 0.3}}
-
-
-@pytest.mark.long
-def test_diagnose_takes_a_table_of_events_and_writes_the_default_valve_again(tmp_path: Path) -> None:
-    table = Path(__file__).parents[1] / "config" / "paper_events.yaml"
-    result = run_well("diagnose", "--events", table, "--output", tmp_path)
-    assert "never opens" in result.output
-    assert (tmp_path / "valve.yaml").read_bytes() == (table.parent / "valve.yaml").read_bytes()
-
-
-def test_diagnose_wants_either_bags_or_events(tmp_path: Path) -> None:
-    result = run("diagnose", "--output", tmp_path)
-    assert result.exit_code == 2
-    assert "either BAG... or --events" in result.output
 
 
 # --- recordings of others ---

@@ -17,7 +17,6 @@ from identification.recordings import one_opening
 from valve_sim.cli import main
 from valve_sim.files import yaml_files
 from valve_sim.files.parameter_files import load_valve
-from valve_sim.identification.plants.event_table import read_event_table
 from valve_sim.model import ValveError
 from valve_sim.model.core import machine
 from valve_sim.traces import list_valves, write_bag
@@ -30,7 +29,7 @@ def test_the_one_loader_of_our_own_is_a_safe_one() -> None:
     assert issubclass(yaml_files._Loader, yaml.SafeLoader)
 
 
-@pytest.mark.parametrize("read", [load_valve, read_profile, read_event_table])
+@pytest.mark.parametrize("read", [load_valve, read_profile])
 def test_yaml_that_would_call_something_is_refused(tmp_path: Path, read) -> None:
     mark = tmp_path / "was_run"
     path = tmp_path / "file.yaml"

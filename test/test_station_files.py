@@ -16,9 +16,9 @@ from xml.etree import ElementTree
 import pytest
 import yaml
 from identification.live_strokes import LiveValve, feed
+from identification.one_thread import Monitor
 
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.monitoring.monitor import Monitor
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
 from valve_sim.nodes import topics as tables

@@ -23,7 +23,7 @@ import numpy as np
 
 from benchmarks.accuracy import Case, ours
 from benchmarks.fuzz.command_lines import try_command_line
-from benchmarks.fuzz.slips import try_plant, try_recording
+from benchmarks.fuzz.slips import try_recording
 from valve_sim.files.parameter_files import load_valve
 from valve_sim.model import CATALOGUE, DECLARED, Drive, Parameter, SimulationError, Valve, simulate
 from valve_sim.model.errors import ValveError
@@ -39,7 +39,7 @@ NASTY: Final = (
 )  # fmt: skip
 """Values that a parameter file may hold where a number is meant."""
 MOST_SLIPS: Final = 1_000_000
-"""Plants and recordings with a slip that can be drawn."""
+"""Recordings with a slip that can be drawn."""
 GENTLE: Final = 1e-9
 """m: how far beyond its contacts a valve may be."""
 BEYOND: Final = 1e-6
@@ -262,7 +262,6 @@ SURFACES: Final[dict[str, tuple[Callable[[Random, Path], str | None], int]]] = {
     "parameter files": (try_file, 10_000),
     "valves": (try_valve, 100_000),
     "command lines": (lambda random, folder: try_command_line(random, folder, bad_bag, bad_file), 10_000),
-    "plants": (lambda random, folder: try_plant(int(random.integers(MOST_SLIPS))), 1_000),
     "recordings": (lambda random, folder: try_recording(int(random.integers(MOST_SLIPS))), 300),
     "valves with gas": (try_gas, 1_000),
 }

@@ -91,7 +91,7 @@ def _value(parameter: click.Parameter, random: Random, folder: Path, bad_bag: Ba
         value = _bag(random, folder, bad_bag)
     elif name == "params":
         value = bad_file(random, folder) if random.random() < 0.5 else ROOT / "config" / "valve.yaml"
-    elif name in ("profile", "file", "events"):
+    elif name in ("profile", "file"):
         value = _table(random, folder)
     elif name in ("output", "plot", "junit"):
         value = random.choice(places)
@@ -103,7 +103,7 @@ def _value(parameter: click.Parameter, random: Random, folder: Path, bad_bag: Ba
 def _table(random: Random, folder: Path) -> Path:
     """A table that suits some command, or none."""
     if random.random() < 0.2:
-        return ROOT / "config" / "paper_events.yaml"
+        return ROOT / "config" / "published.yaml"
     path = folder / f"table{random.choice(['.csv', '.yaml', '.txt', ''])}"
     path.write_text(str(random.choice(TABLES)), encoding="utf-8")
     return path

@@ -11,6 +11,7 @@ from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
 from identification.live_strokes import LiveValve, feed
+from identification.one_thread import Monitor
 from identification.test_current_alone import declared as declared_coil
 from model.gas.cases import gas_valve, independent
 from plants.coil_alone import Build, Course
@@ -19,7 +20,6 @@ from plants.coil_alone import simulate as simulate_coil
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.monitoring.fault_isolation import FaultFinding, isolate_fault
 from valve_sim.identification.monitoring.findings import StrokeState
-from valve_sim.identification.monitoring.monitor import Monitor
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
 from valve_sim.identification.reporting.monitoring_words import finding_words

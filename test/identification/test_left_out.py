@@ -19,7 +19,6 @@ from valve_sim.identification.estimation.noise import LARGEST_ORDER, Noise, esti
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import rmse
 from valve_sim.identification.estimation.solver import fit
-from valve_sim.identification.plants.check import PlantError, check_plant
 from valve_sim.identification.plants.protocol import Channel, Direction
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.validation.replay import validate
@@ -180,14 +179,6 @@ def test_some_samples_of_a_plant_are_left_out_as_they_were() -> None:
     assert few.left_out is not None
     assert every.left_out is not None
     np.testing.assert_array_equal(few.left_out, every.left_out[kept])
-
-
-@pytest.mark.parametrize("left_out", [np.zeros(3, bool), np.zeros(10_000), [False] * 10_000])
-def test_a_plant_whose_mask_is_none_is_refused(left_out: object) -> None:
-    plant = ValvePlant([recorded(FINE)], VALVE)
-    plant._channels = [replace(plant.channels[0], left_out=left_out)]  # type: ignore[arg-type]
-    with pytest.raises(PlantError, match=r"channels\[0\]\.left_out: found .*, expected \(10000,\) of bool"):
-        check_plant(plant)
 
 
 def test_a_replay_is_judged_by_measurements() -> None:

@@ -42,8 +42,6 @@ def test_the_basis_is_that_of_scipys_b_splines() -> None:
     curve = BSpline(LOW + step * np.arange(-3, COUNT + 1), COEFFICIENTS, 3)
     places = np.linspace(LOW, HIGH, 97)[:-1]
     assert basis(places, LOW, HIGH, COUNT) @ COEFFICIENTS == pytest.approx(curve(places), abs=1e-13)
-    repeated = basis(np.array([LOW, HIGH, LOW + 0.1, HIGH + 0.1]), LOW, HIGH, COUNT, periodic=True) @ COEFFICIENTS
-    assert repeated[::2] == pytest.approx(repeated[1::2], abs=1e-12), "a periodic curve has no seam"
 
 
 def test_where_velocity_takes_part_energy_is_only_taken_out() -> None:

@@ -10,6 +10,7 @@ import click
 from valve_sim.cli.command_line import Command
 from valve_sim.cli.options import (
     FILE,
+    bags_argument,
     finite_number,
     folder_option,
     json_option,
@@ -18,15 +19,14 @@ from valve_sim.cli.options import (
     plant_option,
     valve_option,
 )
-from valve_sim.cli.own_plant import chosen_params, is_own, read_plant, say_better_conventions
+from valve_sim.cli.own_plant import chosen_params, is_own, read_plant
 from valve_sim.cli.printing import print_report, progress_bar, provenance
 from valve_sim.cli.reading import declared_valve, read_recordings
 from valve_sim.files.ledger import plan_files
 
 
 @click.command(cls=Command)
-@click.argument("bags", metavar="[BAG...]", type=FILE, nargs=-1)
-@click.option("--events", metavar="FILE", type=FILE, help="Table of events in place of bags, as a paper prints them.")
+@bags_argument
 @click.option(
     "--holdout",
     metavar="BAG",
@@ -41,7 +41,7 @@ from valve_sim.files.ledger import plan_files
     default=120.0,
     help="Work that the search may do: 4,000 simulated strokes for each second, on whatever machine.",
 )
-@click.option("--plot", metavar="PNG", type=FILE, help="Draw the plots of report.html as a picture, too (bags only).")
+@click.option("--plot", metavar="PNG", type=FILE, help="Draw the plots of report.html as a picture, too.")
 @params_option
 @plant_option
 @valve_option
@@ -51,7 +51,6 @@ from valve_sim.files.ledger import plan_files
 def diagnose(
     *,
     bags: tuple[Path, ...],
-    events: Path | None,
     holdout: tuple[Path, ...],
     budget: float,
     plot: Path | None,
@@ -72,24 +71,14 @@ def diagnose(
     Writes DIR/report.json, report.html for people, corrected.yaml, which valve_node, simulate and validate load, and,
     if a further recording would tell candidates apart, record_next.yaml, a profile for simulate and command_profile.
 
-    Other recordings held out; a machine of your own; a table of events:
+    Other recordings held out; a machine of your own:
       valve-sim diagnose day_1 day_2 --holdout day_3 --params my_valve.yaml \
           --output results
       valve-sim diagnose log.csv --plant my_axis.yaml --map map.yaml \
           --output results
-      valve-sim diagnose --events config/paper_events.yaml --output results
 
     Read on: docs/how_to/diagnosis.md, docs/theory/selection.md
     """
-    if (events is None) == (not bags):
-        raise click.UsageError("diagnose takes either BAG... or --events FILE", click.get_current_context())
-    if events is not None:
-        if plot is not None:
-            raise click.UsageError(
-                "--plot is for bags; --events always leaves its pictures in DIR", click.get_current_context()
-            )
-        _diagnose_events(events, output, as_json)
-        return
     params = chosen_params(plant, params)
     from valve_sim.files.whole_files import refuse_unwritable
     from valve_sim.identification.diagnosis.run import diagnose as diagnose_valve
@@ -111,20 +100,7 @@ def diagnose(
         work = partial(diagnose_valve, traces, held_out, valve)
     with progress_bar() as progress:
         result = work(progress, Budget.of_seconds(budget))
-    say_better_conventions(result.after.fit)
     report = to_json(result)
     origin = provenance(params, [report["verdict"]["summary"]])
     written = write_diagnosis(result, output, origin, plot, report=report)
     print_report(report, diagnosis_text(result), written, as_json)
-
-
-def _diagnose_events(events: Path, output: Path, as_json: bool) -> None:
-    from valve_sim.identification.diagnosis.events import diagnose_events
-    from valve_sim.identification.plants.event_table import read_event_table
-    from valve_sim.identification.reporting.event_report import event_json, event_text, write_event_report
-
-    table = read_event_table(events)
-    with progress_bar() as progress:
-        found = diagnose_events(table, progress)
-    written = write_event_report(found, output)
-    print_report(event_json(found), event_text(found), written, as_json)

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
-from valve_sim.cli.cluster import chosen_cluster, cluster_options, refuse_without_fleet
 from valve_sim.cli.command_line import Command
 from valve_sim.cli.options import (
     bags_argument,
@@ -19,14 +17,10 @@ from valve_sim.cli.options import (
     plant_option,
     valve_option,
 )
-from valve_sim.cli.own_plant import chosen_params, is_own, read_plant, say_better_conventions
-from valve_sim.cli.printing import Progress, print_report, progress_bar, provenance, refuse
-from valve_sim.cli.reading import chosen_map, declared_valve, read_recordings
+from valve_sim.cli.own_plant import chosen_params, is_own, read_plant
+from valve_sim.cli.printing import print_report, progress_bar, provenance, refuse
+from valve_sim.cli.reading import declared_valve, read_recordings
 from valve_sim.files.ledger import plan_files
-
-if TYPE_CHECKING:
-    from valve_sim.identification.diagnosis.identify import Identification
-    from valve_sim.model import Valve
 
 
 @click.command(cls=Command)
@@ -41,11 +35,6 @@ if TYPE_CHECKING:
     help="What to refit: declared parameters (a0 ... a3: the polynomial), of effects, e.g. coulomb_friction.force, and "
     "of gas, e.g. gas.outlet_volume.  [default: pilot_damping,main_damping; for a valve with one plunger main_damping]",
 )
-@click.option("--shared", is_flag=True, help="For many recordings: each is fitted by itself, and the valve is shared.")
-@cluster_options(
-    "With --shared: a Dask scheduler, e.g. tcp://10.0.0.1:8786.",
-    "With --shared: processes on this machine. Default: this one alone.",
-)
 @valve_option
 @map_option
 @folder_option
@@ -56,7 +45,6 @@ def identify(
     params: Path | None,
     plant: Path | None,
     freed: tuple[str, ...],
-    shared: bool,
     name: str | None,
     output: Path,
     as_json: bool,
@@ -67,11 +55,9 @@ def identify(
     and DIR/identified.yaml, which valve_node, simulate and validate load.
       valve-sim identify bags/eight_strokes.mcap --output results
 
-    Several recordings, with other parameters than the dampings:
+    Several recordings, which share the valve, with other parameters than the dampings:
       valve-sim identify day_1 day_2 --params my_valve.yaml \
           --free pilot_damping,main_damping,a0 --output results
-    Many recordings of one valve, each fitted by itself, in four processes:
-      valve-sim identify bags/* --shared --workers 4 --output results
     A machine of your own:
       valve-sim identify log.csv --plant my_axis.yaml --map map.yaml \
           --output results
@@ -81,14 +67,10 @@ def identify(
     from valve_sim.files.whole_files import refuse_unwritable
     from valve_sim.identification.diagnosis.identify import identify as identify_valve
     from valve_sim.identification.diagnosis.identify import identify_plant
-    from valve_sim.identification.plants.valve import dampings_of
     from valve_sim.identification.reporting.files import IDENTIFIED, write_identification
     from valve_sim.identification.reporting.identification import identification_json, identification_text
 
     free = ",".join(freed) if freed else None
-    cluster = chosen_cluster()
-    if not shared and cluster != (None, None):
-        raise click.UsageError("--scheduler and --workers are for --shared", click.get_current_context())
     params = chosen_params(plant, params)
     names = None if free is None else tuple(dict.fromkeys(part.strip() for part in free.split(",") if part.strip()))
     if names == ():
@@ -97,38 +79,12 @@ def identify(
     plan_files(*planned)
     refuse_unwritable(*planned)
     if plant is not None and is_own(plant):
-        if shared:
-            refuse("--shared: is for valves; give all recordings of a plant to one identify")
         work = partial(identify_plant, read_plant(plant, bags), names)
     else:
         valve = declared_valve(params)
-        if shared:
-            work = partial(_shared, bags, (valve, names or dampings_of(valve), name), cluster)
-        else:
-            work = partial(identify_valve, read_recordings(bags, name, valve), valve, names)
+        work = partial(identify_valve, read_recordings(bags, name, valve), valve, names)
     with progress_bar() as progress:
         result = work(progress)
-    say_better_conventions(result.fit)
     report = identification_json(result)
     written = write_identification(result, output, provenance(params, []), report=report)
     print_report(report, identification_text(result), written, as_json)
-
-
-def _shared(
-    bags: tuple[Path, ...],
-    what: tuple[Valve, tuple[str, ...], str | None],
-    cluster: tuple[str | None, int | None],
-    progress: Progress,
-) -> Identification:
-    """In this process, or, where workers are asked for, on them."""
-    is_here = cluster == (None, None)
-    if not is_here:
-        refuse_without_fleet("identify on a cluster")
-    from valve_sim.fleet.cluster import Cluster
-    from valve_sim.fleet.shared import Recordings, identify_shared
-    from valve_sim.warm import warm
-
-    with Cluster(*cluster, before=warm) as started:
-        connect = (lambda: None) if is_here else started.client
-        paths = [bag.absolute() for bag in dict.fromkeys(bags)]
-        return identify_shared(paths, Recordings(*what, chosen_map()), connect, progress)

@@ -12,7 +12,6 @@ from valve_sim.cli.printing import print_json, refuse, shown
 from valve_sim.cli.reading import chosen_map_file
 
 if TYPE_CHECKING:
-    from valve_sim.identification.estimation.result import Fit
     from valve_sim.identification.plants.own import OwnPlant
 
 
@@ -64,23 +63,6 @@ def read_plant(plant: Path, logs: Sequence[Path]) -> OwnPlant:
         )
         click.echo(f"valve-sim: {name} is {taken} by half of one, {half:.3g} ms", err=True)
     return plant_with_data
-
-
-def say_better_conventions(found: Fit) -> None:
-    """Say on stderr which inputs the data contradict that they are held, or straight, between samples."""
-    from valve_sim.identification.diagnosis.conventions import better_conventions
-    from valve_sim.identification.reporting.units import quantity
-
-    for own in better_conventions(found):
-        other = "straight" if own.held else "held"
-        click.echo(
-            shown(
-                f"valve-sim: {own.name}: {other} between samples would leave an rms error of "
-                f"{quantity(own.after, own.unit)}, not {quantity(own.before, own.unit)}; "
-                f"write between: {other}, and repeat"
-            ),
-            err=True,
-        )
 
 
 def simulate_own(

@@ -6,7 +6,6 @@ import click
 
 from valve_sim import __version__
 from valve_sim.cli.command_line import CommandLine
-from valve_sim.cli.commission import commission
 from valve_sim.cli.diagnose import diagnose
 from valve_sim.cli.draft import draft
 from valve_sim.cli.export_fmu import export_fmu
@@ -56,7 +55,6 @@ for _command in (
     fit_force,
     fleet,
     export_fmu,
-    commission,
     history,
 ):
     main.add_command(_command)

@@ -33,7 +33,7 @@ LIVE: Final = (
 """Topics of a valve that are published often; only the latest message counts."""
 ARCHIVE_TOPICS: Final = (
     *SAID,
-    Topic("{alarms}", _DIAGNOSTICS, "in", "who has answered or shelved an alarm over OPC UA", qos=Qos(100)),
+    Topic("{alarms}", _DIAGNOSTICS, "in", "who has acknowledged an alarm over OPC UA", qos=Qos(100)),
     Topic(
         "{valve}/serviced", "std_srvs/srv/Trigger", "service", "keep that it was serviced: its strokes count anew",
         qos=None,
@@ -42,7 +42,7 @@ ARCHIVE_TOPICS: Final = (
 OPCUA_TOPICS: Final = (
     *SAID,
     *LIVE,
-    Topic("~/alarms", _DIAGNOSTICS, "out", "each alarm that a person has answered or shelved", qos=Qos(100)),
+    Topic("~/alarms", _DIAGNOSTICS, "out", "each alarm that a person has acknowledged", qos=Qos(100)),
 )
 PLC_TOPICS: Final = (Topic("{valve}/coil_voltage", _FLOAT, "out", "the command to each of `valves`", "V"), *LIVE)
 DISPENSER_TOPICS: Final = (
@@ -67,7 +67,7 @@ class ArchiveSettings(NodeSettings):
     monitors: tuple[str, ...] = option(("monitor",), "the monitor of each valve, in the same order")
     alarms: str = option(
         "opcua/alarms",
-        "the topic of an opcua_node that says who has answered or shelved an alarm, relative likewise",
+        "the topic of an opcua_node that says who has acknowledged an alarm, relative likewise",
     )
     folder: str = option("~/.local/share/valve_sim/archive", "of the archive")
     years: float = option(10.0, "that are kept", "years", 0.01, 100.0)

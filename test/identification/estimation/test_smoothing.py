@@ -23,17 +23,16 @@ class Found(NamedTuple):
     smooth: Smoothness
 
 
-def fitted(truth: np.ndarray, places: np.ndarray, seed: int, *, repeats: bool = False) -> Found:
+def fitted(truth: np.ndarray, places: np.ndarray, seed: int) -> Found:
     """A curve through noisy values of a function, by the weights that the data choose."""
     measured = truth + NOISE * np.random.default_rng(seed).standard_normal(len(places))
-    count = 12 if repeats else COUNT
-    shapes = basis(places, 0.0, 1.0, count, periodic=repeats) / NOISE
+    shapes = basis(places, 0.0, 1.0, COUNT) / NOISE
     # A level beside the curve, held near 0, as other parameters of a fit are.
     columns = np.column_stack([np.ones(len(places)) / NOISE, shapes])
     information = columns.T @ columns
     information[0, 0] += 1e6
-    where, at = np.arange(1, count + 1), np.zeros(count + 1)
-    smooth = Smoothness(tuple(f"c{number}" for number in where), -np.inf, repeats=repeats)
+    where, at = np.arange(1, COUNT + 1), np.zeros(COUNT + 1)
+    smooth = Smoothness(tuple(f"c{number}" for number in where), -np.inf)
     gradient = -columns.T @ (measured / NOISE)
     for _ in range(12):
         smooth = smooth.chosen(information, gradient + information @ at, at, where)
@@ -96,13 +95,6 @@ def test_without_a_curve_behind_the_data_hardly_anything_is_fitted() -> None:
     assert np.sqrt(np.mean(curve**2)) < 0.15 * NOISE
 
 
-def test_a_curve_that_repeats_itself_has_no_seam() -> None:
-    truth = np.sin(2 * np.pi * PLACES + 1.0)
-    curve, *_ = fitted(truth, PLACES, 2, repeats=True)
-    assert np.sqrt(np.mean((curve - truth) ** 2)) < 0.3 * NOISE
-    assert curve[0] == pytest.approx(curve[-1], abs=1e-9)
-
-
 def test_a_weight_changes_by_little_in_one_step() -> None:
     information = 1e8 * np.eye(COUNT)
     smooth = Smoothness(tuple(f"c{number}" for number in range(COUNT)), -np.inf)
@@ -113,7 +105,7 @@ def test_a_weight_changes_by_little_in_one_step() -> None:
 
 
 def test_a_curve_that_all_else_can_take_the_place_of_has_weights_all_the_same() -> None:
-    shapes = 3e4 * basis(PLACES, 0.0, 1.0, COUNT, periodic=False)
+    shapes = 3e4 * basis(PLACES, 0.0, 1.0, COUNT)
     # What else is fitted has units of its own, so that one of them is known much better than the others.
     beside = np.column_stack([3e9 * np.cos(40 * PLACES), shapes])
     columns = np.column_stack([beside, shapes])

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from identification.live_strokes import LiveValve, feed
+from identification.one_thread import Monitor
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.monitoring.command_timing import (
     UNINFORMATIVE,
@@ -26,7 +27,6 @@ from valve_sim.identification.monitoring.findings import (
     StrokeState,
     TimingTooUncertain,
 )
-from valve_sim.identification.monitoring.monitor import Monitor
 from valve_sim.identification.monitoring.segmenter import CONFIRMED, StrokeSegmenter
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.monitoring.stroke_monitor import StrokeReport

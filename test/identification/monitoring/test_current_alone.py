@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from plants.coil_alone import Build, Course, simulate
 
+from identification.one_thread import Monitor
 from identification.test_current_alone import declared
 from valve_sim.identification.monitoring.commissioning import Commissioning
 from valve_sim.identification.monitoring.fault_isolation import isolate_fault
 from valve_sim.identification.monitoring.findings import DidNotClose, DidNotOpen, Fault, OpenedPartly, Unusable
 from valve_sim.identification.monitoring.memory import load_commissioning, save_commissioning
-from valve_sim.identification.monitoring.monitor import Monitor
 from valve_sim.identification.monitoring.segmenter import ALONE, StrokeSegmenter
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.monitoring.stroke_monitor import StrokeReport

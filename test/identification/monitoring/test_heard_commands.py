@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from identification.live_strokes import LiveStroke, LiveValve
+from identification.one_thread import Monitor
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.monitoring.findings import StrokeState
-from valve_sim.identification.monitoring.monitor import Monitor
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
 from valve_sim.traces import Signal

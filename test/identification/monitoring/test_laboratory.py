@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from identification.live_strokes import LiveValve, feed
+from identification.one_thread import Monitor
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.monitoring.fault_isolation import isolate_fault
 from valve_sim.identification.monitoring.findings import StrokeState
-from valve_sim.identification.monitoring.monitor import Monitor
 from valve_sim.identification.monitoring.scores import score_stroke
 
 EXACT_VALVE = default_valve().exact()

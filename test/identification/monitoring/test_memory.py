@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from identification.live_strokes import LiveStroke, LiveValve, feed
+from identification.one_thread import Monitor
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.monitoring.findings import StrokeState
 from valve_sim.identification.monitoring.memory import SCHEMA, load_commissioning, save_commissioning
-from valve_sim.identification.monitoring.monitor import Monitor
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
 from valve_sim.model import ParameterError

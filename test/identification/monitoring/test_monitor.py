@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from identification.live_strokes import LiveValve, feed
+from identification.one_thread import Monitor
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.monitoring.cusum import SCORE_LIMIT, Sums, mean_run, threshold_for
 from valve_sim.identification.monitoring.fault_isolation import isolate_fault
 from valve_sim.identification.monitoring.findings import DidNotOpen, StrokeState, Unusable
-from valve_sim.identification.monitoring.monitor import Monitor
 from valve_sim.identification.monitoring.segmenter import LEAD, StrokeSegmenter
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.monitoring.stroke_monitor import StrokeReport

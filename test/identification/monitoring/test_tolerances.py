@@ -7,11 +7,11 @@ import pytest
 from plants.declared import CAMPAIGN_VALVE
 
 from identification.live_strokes import LiveValve, feed
+from identification.one_thread import Monitor
 from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.identification.monitoring.fault_isolation import estimates
 from valve_sim.identification.monitoring.findings import StrokeState
 from valve_sim.identification.monitoring.memory import load_commissioning, save_commissioning
-from valve_sim.identification.monitoring.monitor import Monitor
 from valve_sim.identification.plants.commissioned import CommissionedPlant
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import Drive, Valve

@@ -85,22 +85,6 @@ def test_what_cannot_be_named_within_its_range_has_no_limit() -> None:
     assert detection_limits(base, Rivals(frozenset(problem.plant.effects), frozenset()))["first"]["size"] == math.inf
 
 
-@pytest.mark.parametrize(("most", "has_limit"), [(math.inf, True), (1e-4, False)])
-def test_an_effect_without_an_end_that_begins_late_has_a_limit_if_it_ever_shows_enough(
-    most: float, has_limit: bool
-) -> None:
-    endless = Parameter("size", "m", "added", 0.0, math.inf, 0.3, 0.0)
-    begins = 0.1
-
-    def shown(values: Mapping[str, float]) -> Array:
-        return np.asarray(min(max(0.0, values.get("late.size", 0.0) - begins), most) * COLUMNS[:, 1])
-
-    problem = problem_of(LinearPlant(measured(1), shown, effects=[EffectChoice("late", (endless,))]))
-    base = fit(problem, ("level",), {})
-    limit = detection_limits(base, Rivals(frozenset(["late"]), frozenset()))["late"]["size"]
-    assert (begins < limit < 2.0) if has_limit else limit == math.inf
-
-
 def test_more_rivals_raise_the_limit_as_the_prior_falls() -> None:
     problem = problem_of(plant_of(KINDS["two-sided"], 0.0, 1))
     base = fit(problem, ("level",), {}, nuisances=[DRIFT])
@@ -145,11 +129,6 @@ def test_a_tolerance_hides_the_effect_that_is_the_same_thing(exact: dict[str, di
 def test_what_a_clock_can_do_is_priced_by_its_prior(exact: dict[str, dict[str, float]]) -> None:
     """A sensor that is late is a clock that is off, which is known to 50 µs."""
     assert 2.5 * 50e-6 < exact["sensor_delay"]["delay"] < 6.0 * 50e-6
-
-
-def test_a_rebound_is_judged_by_one_that_is_large_enough_to_show(exact: dict[str, dict[str, float]]) -> None:
-    """Below 5 mm/s nothing rebounds: what a ratio of 0.02 shows says little of one of 0.05."""
-    assert 0.02 < exact["stop_bounce"]["restitution_stop"] < 0.1
 
 
 def test_what_is_in_the_fit_has_no_limit() -> None:

@@ -7,7 +7,6 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
-import pytest
 
 from identification.selection.linear_plant import TIMES, LinearPlant, measured, problem_of
 from valve_sim.identification.estimation.result import Fit
@@ -26,15 +25,12 @@ PLACES = {
 
 
 def a_map(variable: str, unit: str = "m") -> ForceMap:
-    end = f"end of {variable}" if "periodic" in variable else ""
     names = tuple(f"{variable}{number}" for number in range(12))
-    return ForceMap(variable, names, {f"low of {variable}": 0.0}, 0.0, 1.0, unit, "count", end=end)
+    return ForceMap(variable, names, {f"low of {variable}": 0.0}, 0.0, 1.0, unit, "count")
 
 
-MAPS = [a_map("x"), a_map("v"), a_map("t", "s"), a_map("x, periodic"), a_map("t, periodic", "s")]
+MAPS = [a_map("x"), a_map("v"), a_map("t", "s")]
 BUMP = 3.0 * np.exp(-(((PLACES["x"] - 0.6) / 0.15) ** 2))
-CYCLES = 40.3
-WAVE = np.sin(2.0 * np.pi * CYCLES * PLACES["t"])
 
 
 def curves(values: Mapping[str, float], impossible: str = "") -> Array:
@@ -46,9 +42,7 @@ def curves(values: Mapping[str, float], impossible: str = "") -> Array:
         coefficients = np.array([values.get(name, 0.0) for name in choice.coefficients])
         if not coefficients.any():
             continue
-        end = values[choice.end] if choice.end else 1.0
-        shapes = basis(PLACES[choice.variable[0]], 0.0, end, 12, periodic=bool(choice.end))
-        total += shapes @ coefficients
+        total += basis(PLACES[choice.variable], 0.0, 1.0, 12) @ coefficients
     return total
 
 
@@ -67,19 +61,13 @@ def found(
 
 
 def test_maps_come_by_their_evidence_and_what_acts_is_first() -> None:
-    """A curve that competes is not fitted again; waves over time are none where another map explains all."""
+    """A curve that competes is not fitted again."""
     maps, said = found(BUMP)
     evidence, variables = [one.fit.log_evidence for one in maps], [one.choice.variable for one in maps]
     assert evidence == sorted(evidence, reverse=True)
     assert variables[0] == "x"
-    assert {"x", "v", "t"} <= set(variables) and "t, periodic" not in variables
+    assert {"x", "v", "t"} == set(variables)
     assert len(said) == len(set(said))
-
-
-def test_waves_over_time_are_tried_where_nothing_else_explains_them_and_their_period_is_found() -> None:
-    (best, *_), _ = found(WAVE, maps=[MAPS[0], MAPS[-1]])
-    assert best.choice.variable == "t, periodic"
-    assert best.choice.high - best.choice.low == pytest.approx(1.0 / CYCLES, rel=1e-3)
 
 
 def test_what_cannot_be_simulated_is_left_out() -> None:
@@ -88,7 +76,7 @@ def test_what_cannot_be_simulated_is_left_out() -> None:
 
 
 def test_time_is_no_curve_that_competes() -> None:
-    """A curve over time follows anything in the strokes that it is fitted to, and a wave has its period to choose."""
+    """A curve over time follows anything in the strokes that it is fitted to."""
     plant = LinearPlant(measured() + BUMP, curves, force_maps=MAPS)
     base = fit(problem_of(plant), ("level",), {})
     assert {entry.choice.variable for entry in competing_curves(base, lambda what, done: None)} == {"x", "v"}

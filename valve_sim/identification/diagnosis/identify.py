@@ -21,7 +21,6 @@ from valve_sim.identification.estimation.recorded_errors import RecordedError, b
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.estimation.state_of_recording import with_forgotten_errors, with_learned_errors
-from valve_sim.identification.plants.check import check_plant
 from valve_sim.identification.plants.own import OwnPlant
 from valve_sim.identification.plants.protocol import (
     Array,
@@ -30,6 +29,7 @@ from valve_sim.identification.plants.protocol import (
     Nuisance,
     Piece,
     Plant,
+    finite_prediction,
     primary_channels,
 )
 from valve_sim.identification.plants.stroke_choice import choose_strokes
@@ -194,7 +194,7 @@ def identify_plant(
     """
     free = tuple(plant.base if free is None else free)
     plant.check_free(free)
-    check_plant(plant)
+    finite_prediction(plant, {})
     starts, sources = starts_about_declared(plant, free), [recording.source for recording in plant.recordings]
     return _identified(plant, free, starts, sources, progress or (lambda what, fraction: None))
 

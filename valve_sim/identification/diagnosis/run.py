@@ -29,9 +29,8 @@ from valve_sim.identification.estimation.recorded_errors import with_uncertain_s
 from valve_sim.identification.estimation.result import Fit, rmse
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.estimation.state_of_recording import with_learned_errors
-from valve_sim.identification.plants.check import check_plant, named_interrupts
 from valve_sim.identification.plants.hold_out import held_out_strokes
-from valve_sim.identification.plants.protocol import Plant, strokes_of_plant
+from valve_sim.identification.plants.protocol import Plant, finite_prediction, strokes_of_plant
 from valve_sim.identification.plants.stroke_choice import choose_strokes
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.selection.detection_limits import detection_limits
@@ -105,7 +104,6 @@ def diagnose_plant(
         progress, budget: as of `diagnose`.
 
     Raises:
-        PlantError: a plant does not keep to what a `Plant` promises.
         SimulationError: the declared model cannot be simulated.
     """
     return begin(plant, holdout, progress, budget).end()
@@ -130,14 +128,12 @@ def begin(
         held: sizes of errors of the recordings that are known, as of `with_learned_errors`.
 
     Raises:
-        PlantError: a plant does not keep to what a `Plant` promises.
         SimulationError: the declared model cannot be simulated.
     """
     budget = budget or Budget.unlimited()
-    with named_interrupts(plant):
-        for one in (plant,) if holdout is None else (plant, holdout):
-            check_plant(one)
-        return _begun(plant, holdout, progress, budget, (least or {}, known or {}, held or {}))
+    for one in (plant,) if holdout is None else (plant, holdout):
+        finite_prediction(one, {})
+    return _begun(plant, holdout, progress, budget, (least or {}, known or {}, held or {}))
 
 
 def _begun(
@@ -147,7 +143,7 @@ def _begun(
     budget: Budget,
     given: tuple[Mapping[str, float], Mapping[str, Noise], Mapping[str, float]],
 ) -> DiagnosisSession:
-    """The declared model, refitted, of a plant that keeps to its protocol."""
+    """The declared model, refitted."""
     least, known, held = given
     say = progress or (lambda what, fraction: None)
     train_mask, holdout_mask = _split(plant) if holdout is None else (None, None)
@@ -220,10 +216,6 @@ class DiagnosisSession:
         Args:
             is_full: whether every effect is fitted where the declared model leaves nothing to be found, too.
         """
-        with named_interrupts(self._plant):
-            return self._ended(is_full=is_full)
-
-    def _ended(self, *, is_full: bool) -> Diagnosis:
         self._run(is_full=is_full)
         grounds = self._decided()
         posterior, decision = grounds.posterior, grounds.decision

@@ -142,7 +142,7 @@ class Descent:
         self._curve = np.array([free.index(name) for name in smooth.names] if smooth else [], dtype=np.int64)
         self._small = CONVERGED if smooth is None else CURVE_CONVERGED
         self._weights_hold = False
-        self._min_iterations = MIN_ITERATIONS if smooth is None or smooth.repeats else MIN_ITERATIONS_OF_CURVE
+        self._min_iterations = MIN_ITERATIONS if smooth is None else MIN_ITERATIONS_OF_CURVE
         if smooth is not None:
             for index in self._curve.tolist():
                 self.priors[index] = Elsewhere()

@@ -7,6 +7,7 @@ in blocks, each too small for BLAS to start threads.
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 import numpy as np
@@ -72,6 +73,11 @@ def sum_squares(values: Array) -> float:
     """Sum of squares of (n,) values; infinite where they are too large to be squared."""
     with np.errstate(over="ignore"):
         return float(np.sum(np.square(values)))
+
+
+def root_mean_square(values: Array) -> float:
+    """√(mean of squares), in the unit of the values; nan where there are none."""
+    return math.sqrt(float(np.mean(np.square(values)))) if len(values) else math.nan
 
 
 def information_less(whole: Array, part: Array) -> Array:

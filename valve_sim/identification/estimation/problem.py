@@ -181,7 +181,6 @@ class Problem:
 
         Raises:
             SimulationError: the machine cannot be simulated with these values.
-            PlantError: its plant breaks down with them.
         """
         return self.every_row.residuals(values)
 

@@ -233,7 +233,7 @@ class Fit:
 
     @property
     def machine(self) -> MachineKnowledge:
-        """What is known of the machine when the errors of the recordings are estimated along: theory, eq. (83)."""
+        """What is known of the machine when the errors of the recordings are estimated along: the Schur complement."""
         own, others = self.of_machine, self.of_recordings
         between = self.information[np.ix_(own, others)]
         known = self.information[np.ix_(own, own)]

@@ -29,7 +29,6 @@ from valve_sim.identification.estimation.budget import Budget
 from valve_sim.identification.estimation.column_groups import ColumnGroup, group_columns, reach_of
 from valve_sim.identification.estimation.gram import gram
 from valve_sim.identification.estimation.noise import Noise, readings_near, stretches
-from valve_sim.identification.plants.check import checked_prediction
 from valve_sim.identification.plants.protocol import (
     Array,
     Channel,
@@ -40,6 +39,7 @@ from valve_sim.identification.plants.protocol import (
     Piece,
     Plant,
     Thinnable,
+    finite_prediction,
     strokes_of_plant,
     varying_of,
 )
@@ -202,10 +202,9 @@ class Rows:
 
         Raises:
             SimulationError: the machine cannot be simulated with these values.
-            PlantError: its plant breaks down with them.
         """
         self._budget.count(self._strokes)
-        shown = checked_prediction(self._simulated, values)
+        shown = finite_prediction(self._simulated, values)
         beyond = [(own - layout.readings)[:, None] for own, layout in zip(shown, self._layouts, strict=True)]
         return np.concatenate([layout.target for layout in self._layouts]) - self._whitened(beyond)[:, 0]
 

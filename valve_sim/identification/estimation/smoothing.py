@@ -77,20 +77,18 @@ class Smoothness:
     Attributes:
         names: of the coefficients, in order; all are freed. least: value of each.
         weights: λ, 1/N² or (m/(N·s))², evenly spaced along the curve.
-        repeats: whether the first coefficient follows the last.
         log_weights: ln of the prior density of the weights' logarithms times the volume that the data leave them.
     """
 
     names: tuple[str, ...]
     least: float
     weights: tuple[float, ...] = (FIRST_WEIGHT,) * HATS
-    repeats: bool = False
     log_weights: float = 0.0
 
     @functools.cached_property
     def precision(self) -> Array:
         """(K, K) S."""
-        return _Roughness.of(len(self.names), repeats=self.repeats).precision(np.array(self.weights))
+        return _Roughness.of(len(self.names)).precision(np.array(self.weights))
 
     def chosen(self, information: Array, gradient: Array, at: Array, where: NDArray[np.int64]) -> Smoothness:
         """This curve with weights that go to those of the greatest restricted likelihood.
@@ -118,7 +116,7 @@ class Smoothness:
         logs = np.log(np.array(self.weights))
         best = curve.best(logs)
         covariance = best.covariance.copy()
-        for axis in _axes(curve, logs, repeats=self.repeats):
+        for axis in _axes(curve, logs):
             places = [curve.best(place) for place in np.clip(logs + ALONG[:, None] * axis, LEAST, MOST)]
             costs = np.nan_to_num([place.objective for place in places], nan=np.inf)
             shares = np.exp(-0.5 * (costs - costs.min()))
@@ -132,7 +130,7 @@ class Smoothness:
 
     def _about(self, information: Array, gradient: Array, at: Array, where: NDArray[np.int64]) -> _Quadratic:
         """χ² about where the fit is; what is held at the least value counts as known."""
-        roughness = _Roughness.of(len(where), repeats=self.repeats)
+        roughness = _Roughness.of(len(where))
         curve = _Quadratic.of(information, gradient, at, where, roughness)
         is_held = (at[where] <= self.least) & (gradient[where] > 0.0)
         return curve._replace(information=curve.information + np.diag(np.where(is_held, HELD, 0.0) + RIDGE))
@@ -162,27 +160,22 @@ def _settled(curve: _Quadratic, logs: Array) -> Array:
     return logs
 
 
-def _axes(curve: _Quadratic, logs: Array, *, repeats: bool) -> Array:
+def _axes(curve: _Quadratic, logs: Array) -> Array:
     """(m, HATS) one standard deviation along each axis of the posterior of the weights' logarithms."""
-    if repeats:
-        # All weights are one.
-        directions = np.ones((1, HATS)) / math.sqrt(HATS)
-    else:
-        directions = np.eye(HATS)
 
     def slope(at: Array) -> Array:
         determined, bends = curve.shares(at, curve.best(at))
-        return np.asarray(directions @ (bends - determined + NEIGHBOURS @ at))
+        return np.asarray(bends - determined + NEIGHBOURS @ at)
 
-    steps = DIFFERENCE * directions
+    steps = DIFFERENCE * np.eye(HATS)
     hessian = np.array([slope(logs + step) - slope(logs - step) for step in steps]) / (2.0 * DIFFERENCE)
     if not np.all(np.isfinite(hessian)):
         # The curve is so far from what is linearised that its bends overflow: then nothing is known of the weights.
-        return WIDEST * directions
+        return WIDEST * np.eye(HATS)
     # R is −2 ln of a likelihood.
     sizes, axes = np.linalg.eigh(0.25 * (hessian + hessian.T))
     deviations = 1.0 / np.sqrt(np.maximum(sizes, 0.0) + WIDEST**-2)
-    return np.asarray((axes * deviations).T @ directions)
+    return np.asarray((axes * deviations).T)
 
 
 class _Roughness(NamedTuple):
@@ -193,11 +186,7 @@ class _Roughness(NamedTuple):
 
     @classmethod
     @functools.cache
-    def of(cls, count: int, *, repeats: bool) -> _Roughness:
-        if repeats:
-            differences = np.roll(np.eye(count), -1, axis=1) - 2.0 * np.eye(count) + np.roll(np.eye(count), 1, axis=1)
-            # A curve that repeats itself has no place of its own where it would be rougher.
-            return cls(differences, np.full((count, HATS), 1.0 / HATS))
+    def of(cls, count: int) -> _Roughness:
         at = np.linspace(0.0, HATS - 1.0, count - 2)
         hats = np.maximum(0.0, 1.0 - np.abs(at[:, None] - np.arange(HATS)))
         return cls(np.diff(np.eye(count), 2, axis=0), hats)
@@ -262,9 +251,8 @@ class _Quadratic(NamedTuple):
 
     @property
     def _rank(self) -> int:
-        """Of the second differences: of those that go around, one follows from the others."""
-        count, rows = len(self.target), len(self.roughness.hats)
-        return count - 1 if rows == count else rows
+        """Of the second differences."""
+        return len(self.roughness.hats)
 
     def best(self, logs: Array) -> _Best:
         """The curve of the least cᵀ (A + S) c − 2 tᵀ c with these logarithms of weights."""

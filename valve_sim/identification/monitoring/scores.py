@@ -24,6 +24,7 @@ from typing import Final
 
 import numpy as np
 
+from valve_sim.identification.estimation.gram import root_mean_square
 from valve_sim.identification.estimation.intervals import Interval, covariance_interval
 from valve_sim.identification.estimation.linearised import OrthogonalProjector
 from valve_sim.identification.estimation.noise import Noise
@@ -38,7 +39,6 @@ from valve_sim.identification.monitoring.stroke_delays import rough_shifts, star
 from valve_sim.identification.plants.commissioned import Commissioned, CommissionedCurrent, commission_current
 from valve_sim.identification.plants.protocol import Array, Nuisance, perturbed
 from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA
-from valve_sim.identification.plants.root_mean_square import root_mean_square
 from valve_sim.identification.plants.valve import DAMPINGS, ValvePlant, dampings_of
 from valve_sim.identification.plants.valve_sensors import as_it_began
 from valve_sim.identification.plants.variation import VARIATION

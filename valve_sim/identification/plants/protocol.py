@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Final, Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from valve_sim.model.errors import SimulationError
 from valve_sim.model.parameters import Parameter
 
 Array = NDArray[np.float64]
@@ -128,8 +129,6 @@ class ForceMap:
         low, high: the range of the variable, in `unit`; the curve is constant beyond.
         count: name of the value that says how many coefficients there are.
         least: value that no coefficient may fall below.
-        end: of a curve that repeats itself, name of the value that says where a period that begins at `low` ends. Its
-            range is then that of the data, and the period is looked for. Empty: it does not repeat itself.
     """
 
     variable: str
@@ -140,7 +139,6 @@ class ForceMap:
     unit: str
     count: str
     least: float = -math.inf
-    end: str = ""
 
     @property
     def free(self) -> tuple[str, ...]:
@@ -151,10 +149,6 @@ class ForceMap:
     def held(self) -> dict[str, float]:
         """Names that a fit keeps fixed: the place of the B-splines."""
         return {**self.fixed, self.count: float(len(self.coefficients))}
-
-    def with_period(self, period: float) -> ForceMap:
-        """This map over one period, of a curve that repeats itself."""
-        return replace(self, high=self.low + period, fixed={**self.fixed, self.end: self.low + period})
 
 
 @dataclass(frozen=True)
@@ -331,6 +325,22 @@ class Plant(Protocol):
         Args:
             values: freed parameters and nuisances by name; the rest is as declared. Effects that appear are on.
         """
+
+
+def finite_prediction(plant: Plant, values: Mapping[str, float]) -> list[Array]:
+    """What a plant predicts with these values.
+
+    Raises:
+        SimulationError: the machine cannot be simulated with them, or shows something that is not finite.
+    """
+    try:
+        shown = plant.predict(values)
+    except ArithmeticError as error:
+        raise SimulationError(f"{plant.channels[0].name}: the model has no result: {error}") from error
+    for column, channel in zip(shown, plant.channels, strict=True):
+        if not np.all(np.isfinite(column)):
+            raise SimulationError(f"{channel.name}: the model shows something that is not finite")
+    return list(shown)
 
 
 @runtime_checkable

@@ -58,7 +58,7 @@ from valve_sim.identification.plants.valve_sensors import (
     without_pressure,
 )
 from valve_sim.model import CATALOGUE, Drive, Parameter, Tag, Valve
-from valve_sim.model.effects import FORCE_MAP_COEFFICIENTS, FORCE_MAP_VARIABLES, is_damping, is_periodic
+from valve_sim.model.effects import FORCE_MAP_COEFFICIENTS, FORCE_MAP_VARIABLES, is_damping
 from valve_sim.traces import Signal, Trace
 
 DAMPINGS: Final = ("pilot_damping", "main_damping")
@@ -78,9 +78,6 @@ SHORTEST_SPAN: Final = 1e-6
 GAS_STEP: Final = 2e-5
 """Prior scales. Along the usual step the pressures come to be equal so much later that it is more than the main plunger
 takes to open: a clogged orifice was given a twentieth of its standard error."""
-IN_A_PERIOD: Final = 12
-"""Coefficients of a curve that repeats itself."""
-_END: Final = "force_map.high"
 
 
 def dampings_of(valve: Valve) -> tuple[str, ...]:
@@ -396,11 +393,11 @@ def force_map_over(variable: str, low: float, high: float, unit: str) -> ForceMa
     Args:
         variable: one of FORCE_MAP_VARIABLES. low, high: in `unit`.
     """
-    repeats = is_periodic(variable)
-    fixed = {"force_map.variable": float(FORCE_MAP_VARIABLES.index(variable)), "force_map.low": low, _END: high}
-    names = FORCE_MAP_COEFFICIENTS[:IN_A_PERIOD] if repeats else FORCE_MAP_COEFFICIENTS
+    fixed = {
+        "force_map.variable": float(FORCE_MAP_VARIABLES.index(variable)),
+        "force_map.low": low,
+        "force_map.high": high,
+    }
+    names = tuple(f"force_map.{name}" for name in FORCE_MAP_COEFFICIENTS)
     least = 0.0 if is_damping(variable) else -math.inf
-    return ForceMap(
-        variable, tuple(f"force_map.{name}" for name in names), fixed, low, high, unit, "force_map.count", least,
-        end=_END if repeats else "",
-    )  # fmt: skip
+    return ForceMap(variable, names, fixed, low, high, unit, "force_map.count", least)

@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.identification.diagnosis.run import Diagnosis
+from valve_sim.identification.estimation.gram import root_mean_square
 from valve_sim.identification.plants.protocol import Array, Plant
-from valve_sim.identification.plants.root_mean_square import root_mean_square
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.selection.force_maps import Unexplained
 from valve_sim.model import simulate
-from valve_sim.model.effects import is_damping, is_periodic
+from valve_sim.model.effects import is_damping
 
 MOVES: Final = 0.02
 """Share of the fastest speed above which the machine counts as moving."""
@@ -112,8 +112,6 @@ def force_curve(entry: Unexplained, motion: Motion) -> ForceCurve:
     """A force map restricted to the range that the data visited; all of it where the motion is not known."""
     drawn, shown = np.array(entry.at), np.array(entry.force)
     samples, factor = _visits(entry.variable, motion)
-    if is_periodic(entry.variable):
-        samples = drawn[0] + np.mod(samples - drawn[0], drawn[-1] - drawn[0])
     is_known = len(motion.position) > 0
     seen = _near(drawn, samples) if is_known else np.ones(len(drawn), bool)
     acting = np.interp(samples, drawn, shown) * factor if is_known else shown

@@ -56,7 +56,6 @@ FIRST_STROKES: Final = 2
 """Strokes that stay on one page with their heading when printed."""
 PICTURED_STROKES: Final = 3
 _FACTOR_WORDS: Final = {
-    ", periodic": ", over one period",
     "·v": ", times velocity",
     "·u²": ", with the current squared",
 }

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from valve_sim.identification.diagnosis.recording_state import Hidden, RecordingState
+from valve_sim.identification.diagnosis.recording_state import RecordingState
 from valve_sim.identification.estimation.recorded_errors import RecordedError
 from valve_sim.identification.plants.effect_titles import title_of
 from valve_sim.identification.plants.protocol import Array
@@ -119,7 +119,7 @@ def recording_lines(errors: Mapping[str, Sequence[RecordedError]]) -> list[str]:
 
 
 def state_lines(state: RecordingState) -> list[str]:
-    """Lines for a terminal: each error with its size and what it hides, and what can be named in the recording."""
+    """Lines for a terminal: each error with its size and what to do, and what can be named in the recording."""
     found = state.identification
     (source,) = found.sources
     noise, unit = found.fit.problem.noise.sigma, found.primary_channel.unit
@@ -135,18 +135,9 @@ def state_lines(state: RecordingState) -> list[str]:
             row = f"  {title_words(entry):<52}{size_words(entry):<20}{share:<10}{probability:<13}"
             lines.append(f"{row}{sparkline(entry.shown)}".rstrip())
         if any(entry.is_likely for entry in of_it) and name not in SMALL_TALK:
-            lines.append(f"    {_advice(of_it[0], state.hidden.get(name))}.")
+            lines.append(f"    {of_it[0].what_to_do}.")
     lines += _limit_lines(state)
     return [*lines, *remarks(found.findings)]
-
-
-def _advice(entry: RecordedError, hidden: Hidden | None) -> str:
-    """Advice on an error of a recording, and the effect that it hides most."""
-    if hidden is None:
-        return entry.what_to_do
-    now, then = quantity(hidden.limit, hidden.unit), quantity(hidden.without, hidden.unit)
-    named = f"{title_of(hidden.effect)} would be named from {then} on"
-    return f"{entry.what_to_do}: {named}, {'now at no size' if math.isinf(hidden.limit) else f'now from {now}'}"
 
 
 def _limit_lines(state: RecordingState) -> Iterator[str]:
@@ -170,7 +161,6 @@ def state_json(state: RecordingState) -> dict[str, Any]:
         "recording": recording_json({source: state.errors})[source],
         "detection_limits": {name: dict(limits) for name, limits in state.limits.items()},
         "detection_limits_without_errors": {name: dict(limits) for name, limits in state.without_errors.items()},
-        "hidden": {error: hidden._asdict() for error, hidden in state.hidden.items()},
         "findings": remarks(state.identification.findings),
     }
 

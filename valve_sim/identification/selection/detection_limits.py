@@ -6,8 +6,8 @@ posterior gives it `SURE` against nothing:
 
     ln ∫ π(z) exp(−(z − a)²/2σ² + a²/2σ²) dz + ln P(effect) − ln P(nothing) = ln SURE/(1 − SURE)
 
-The limit is the a that solves this (theory, section 10). σ is that of a small effect; of one that shows little while
-it is small, as a rebound that only begins above a speed, larger ones are simulated until one shows enough.
+The limit is the a that solves this (theory, section 10). σ is that of a small effect: an effect that shows little while
+it is small, as a rebound that only begins above a speed, has no limit here.
 """
 
 from __future__ import annotations
@@ -16,19 +16,13 @@ import math
 from collections.abc import Mapping
 from typing import Final
 
-import numpy as np
-from numpy.linalg import norm
-
 from valve_sim.identification.estimation.linearised import OrthogonalProjector
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.plants.protocol import (
-    SMALL_MOVE,
-    Array,
     EffectChoice,
     Nuisance,
     from_internal,
     internal_bounds,
-    internal_scale,
     to_internal,
 )
 from valve_sim.identification.selection.posterior import SURE, Rivals
@@ -36,20 +30,13 @@ from valve_sim.identification.selection.score_test import (
     log_bayes_factor,
     released_spread,
     standard_errors,
-    switched_on,
 )
-from valve_sim.model import Parameter, SimulationError
+from valve_sim.model import Parameter
 
 Limits = Mapping[str, Mapping[str, float]]
 """Limits by effect and by the parameter that switches it, SI."""
 SEARCHED: Final = 200
 """Largest number of bisections."""
-STEEPER: Final = 2.0
-"""Times what a small effect shows for its size, beyond which a larger one is not judged by it."""
-LARGEST: Final = 100.0
-"""Prior scales up to which larger effects are simulated: nobody expects one beyond, and a range may have no end."""
-LARGER: Final = 1.25
-"""Factor from one simulated size to the next."""
 
 
 def detection_limits(result: Fit, rivals: Rivals) -> dict[str, dict[str, float]]:
@@ -109,8 +96,6 @@ class _Limit:
     def size(self, needed: float) -> float:
         """By how far its value is off where it does nothing, for so much of ln p; inf where nothing is enough."""
         found = self._linear(needed) if 0.0 < self._sigma < math.inf else math.inf
-        if self._is_steeper(found):
-            found = self._simulated(needed)
         if found > self._most or math.isinf(found):
             return math.inf
         value, off = from_internal(self._parameter, self._off + self._sign * found), self._switch.off
@@ -130,37 +115,3 @@ class _Limit:
             middle = 0.5 * (low + high)
             low, high = (low, middle) if self._is_enough(middle, self._sigma, needed) else (middle, high)
         return high
-
-    def _simulated(self, needed: float) -> float:
-        """The limit in the search coordinate, of what shows nothing while it is small."""
-        size = SMALL_MOVE * internal_scale(self._parameter)
-        while size <= min(self._most, LARGEST * internal_scale(self._parameter)):
-            shown = self._shown(size)
-            if shown > 0.0 and self._is_enough(size, size / shown, needed):
-                return size
-            size *= LARGER
-        return math.inf
-
-    def _is_steeper(self, found: float) -> bool:
-        """Whether a limit is beyond a small move, and shows more for its size than that does."""
-        scale = internal_scale(self._parameter)
-        small = SMALL_MOVE * scale
-        if found <= small or self._name in _released(self._result):
-            return False
-        # Of what has no limit by a small move, one that is as large as effects are expected to be.
-        there = min(scale if math.isinf(found) else found, self._most)
-        return float(norm(self._change(there))) / there > STEEPER * float(norm(self._change(small))) / small
-
-    def _shown(self, size: float) -> float:
-        """How many standard deviations such an effect shows beside all that the fit frees."""
-        return math.sqrt(self._outside.along(self._change(size))[0])
-
-    def _change(self, size: float) -> Array:
-        """(r,) change of the residuals by an effect of this size; 0 where it cannot be simulated."""
-        value = from_internal(self._parameter, self._off + self._sign * size)
-        values = {**switched_on(self._effect, self._switch, 0.0), self._name: value}
-        left = self._result.left.condensed()
-        try:
-            return self._result.problem.rows.residuals({**self._result.values, **values}) - left
-        except SimulationError:
-            return np.zeros_like(left)

@@ -6,34 +6,20 @@ A curve has many B-splines, and a penalty on its second differences whose weight
 
 from __future__ import annotations
 
-import contextlib
-import itertools
-import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from valve_sim.identification.estimation.descent import WHOLE, SolverOptions
 from valve_sim.identification.estimation.parallel import run_parallel
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.smoothing import Smoothness
 from valve_sim.identification.estimation.solver import fit
-from valve_sim.identification.plants.protocol import Array, ForceMap, Nuisance
-from valve_sim.identification.selection.periods import Period, likely_periods
-from valve_sim.identification.selection.residual_tests import adequacy
+from valve_sim.identification.plants.protocol import Array, ForceMap
 from valve_sim.model import SimulationError
 from valve_sim.model.effects import basis
 
-PERIOD_STEP: Final = 0.01
-"""Step of a difference quotient, in standard deviations of a period."""
-NEAR: Final = 100.0
-"""Difference of χ² by which a wave that is begun may lag behind the best, and is still fitted to its end."""
-AT_ONCE: Final = 3
-"""So many periods are fitted before it is asked whether one makes the residual white, which ends the search."""
-NOTHING: Final[Mapping[str, float]] = MappingProxyType({})
 OVER_TIME: Final = "t"
 """A curve over this follows anything in the strokes that it is fitted to: that they come out white says nothing."""
 POINTS_AN_INTERVAL: Final = 6
@@ -70,8 +56,8 @@ class NonparametricFit(NamedTuple):
 
 def competing_curves(base: Fit, say: Progress) -> list[NonparametricFit]:
     """Smooth curves beside a fit that stand for something unnamed; not over time, where a curve follows anything."""
-    choices = [one for one in base.problem.plant.force_maps if not one.end and one.variable != OVER_TIME]
-    return _fitted_each(choices, lambda choice: [_beside(choice, base)], say)
+    choices = [one for one in base.problem.plant.force_maps if one.variable != OVER_TIME]
+    return _fitted_each(choices, base, say)
 
 
 def fit_maps(base: Fit, known: Sequence[NonparametricFit], say: Progress) -> list[NonparametricFit]:
@@ -82,16 +68,8 @@ def fit_maps(base: Fit, known: Sequence[NonparametricFit], say: Progress) -> lis
     """
     done = [entry.choice for entry in known]
     maps = [one for one in base.problem.plant.force_maps if one not in done]
-    # Hundreds of periods fit into a recording, so waves over time are tried where nothing else explains it.
-    long = [choice for choice in maps if choice.end and choice.unit == "s"]
-    found = [*known, *_fitted_each([choice for choice in maps if choice not in long], lambda one: _any(one, base), say)]
-    if not any(entry.choice.variable != OVER_TIME and adequacy(entry.fit).is_white for entry in found):
-        found += _fitted_each(long, lambda one: _any(one, base), say)
+    found = [*known, *_fitted_each(maps, base, say)]
     return sorted(found, key=lambda entry: -entry.fit.log_evidence)
-
-
-def _any(choice: ForceMap, base: Fit) -> list[NonparametricFit]:
-    return _periodic(choice, base, likely_periods(choice, base)[0]) if choice.end else [_beside(choice, base)]
 
 
 def _held(base: Fit) -> dict[str, float]:
@@ -100,53 +78,26 @@ def _held(base: Fit) -> dict[str, float]:
     return {name: value for name, value in base.values.items() if name not in estimated}
 
 
-def _fitted_each(
-    choices: Sequence[ForceMap], fitted: Callable[[ForceMap], list[NonparametricFit]], say: Progress
-) -> list[NonparametricFit]:
+def _fitted_each(choices: Sequence[ForceMap], base: Fit, say: Progress) -> list[NonparametricFit]:
     """Fits of many force maps in parallel, but for those that cannot be simulated."""
 
-    def attempted(choice: ForceMap) -> list[NonparametricFit]:
+    def attempted(choice: ForceMap) -> NonparametricFit | None:
         try:
-            return fitted(choice)
+            return _beside(choice, base)
         except SimulationError:
-            return []
+            return None
 
     found = run_parallel(attempted, choices, lambda choice: say(f"a force over {choice.variable}", 0.9))
-    return list(itertools.chain(*found))
+    return [entry for entry in found if entry is not None]
 
 
-def _beside(
-    choice: ForceMap, base: Fit, further: tuple[Nuisance, ...] = (), start: Mapping[str, float] = NOTHING,
-    effort: SolverOptions = WHOLE,
-) -> NonparametricFit:  # fmt: skip
-    """A force map beside all that a fit frees, and beside further nuisances."""
-    fixed = {**_held(base), **choice.held}
-    for nuisance in further:
-        fixed.pop(nuisance.name, None)
+def _beside(choice: ForceMap, base: Fit) -> NonparametricFit:
+    """A force map beside all that a fit frees."""
     found = fit(
-        base.problem, (*base.free, *choice.free), {**base.values, **start}, nuisances=(*base.nuisances, *further),
-        fixed=fixed, effort=effort, prior=_smooth(choice),
+        base.problem, (*base.free, *choice.free), base.values, nuisances=base.nuisances,
+        fixed={**_held(base), **choice.held}, prior=Smoothness(choice.free, choice.least),
     )  # fmt: skip
     return NonparametricFit(choice, found)
-
-
-def _periodic(choice: ForceMap, base: Fit, periods: Sequence[Period]) -> list[NonparametricFit]:
-    """A force that repeats itself, with the period of the best fit; the period is estimated along."""
-    found: list[NonparametricFit] = []
-    for number, period in enumerate(periods):
-        if number % AT_ONCE == 0 and any(adequacy(entry.fit).is_white for entry in found):
-            break
-        length = Nuisance(
-            choice.end, period.sigma, choice.unit, step=PERIOD_STEP * period.sigma, mean=choice.low + period.length,
-            is_of_machine=True,
-        )  # fmt: skip
-        with contextlib.suppress(SimulationError):
-            least = min((entry.fit.chi2 for entry in found), default=math.inf)
-            effort = SolverOptions(goal=least + NEAR)
-            entry = _beside(choice.with_period(period.length), base, (length,), period.wave, effort)
-            fitted = choice.with_period(entry.fit.values[choice.end] - choice.low)
-            found.append(NonparametricFit(fitted, entry.fit))
-    return sorted(found, key=lambda entry: -entry.fit.log_evidence)[:1]
 
 
 def describe(choice: ForceMap, result: Fit, base: Fit) -> Unexplained:
@@ -162,12 +113,8 @@ def describe(choice: ForceMap, result: Fit, base: Fit) -> Unexplained:
     )  # fmt: skip
 
 
-def _smooth(choice: ForceMap) -> Smoothness:
-    return Smoothness(choice.free, choice.least, repeats=bool(choice.end))
-
-
 def _shapes(choice: ForceMap, at: Array) -> Array:
-    return basis(at, choice.low, choice.high, len(choice.coefficients), periodic=bool(choice.end))
+    return basis(at, choice.low, choice.high, len(choice.coefficients))
 
 
 def _curve(choice: ForceMap, result: Fit) -> tuple[Array, Array]:

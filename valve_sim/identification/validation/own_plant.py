@@ -15,9 +15,8 @@ from valve_sim.identification.estimation.gram import gram
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
-from valve_sim.identification.plants.check import check_plant
 from valve_sim.identification.plants.own import OwnPlant
-from valve_sim.identification.plants.protocol import Array, Channel, Direction
+from valve_sim.identification.plants.protocol import Array, Channel, Direction, finite_prediction
 from valve_sim.identification.validation.replay import Allowed, Replay, StrokeCheck, Validation, errors_between
 from valve_sim.traces import Signal
 
@@ -35,7 +34,7 @@ def validate_plant(plant: OwnPlant, tolerance: float | None = None) -> Validatio
     Raises:
         SimulationError: the declared machine cannot be simulated.
     """
-    check_plant(plant)
+    finite_prediction(plant, {})
     problem = Problem(plant)
     found = fit(problem, (), {}, nuisances=[own for own in plant.nuisances if not own.is_of_machine])
     replays = []

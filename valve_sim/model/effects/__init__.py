@@ -19,7 +19,6 @@ from valve_sim.model.effects.force_map import (
     FORCE_MAP_VARIABLES,
     basis,
     is_damping,
-    is_periodic,
 )
 
 __all__ = [
@@ -35,5 +34,4 @@ __all__ = [
     "basis",
     "check_effects",
     "is_damping",
-    "is_periodic",
 ]

@@ -1,9 +1,4 @@
-"""Monitoring of a real valve: each stroke compared with the model, alarms at a stated false-alarm rate. No ROS.
-
-Two parts, for two threads. A `StrokeSegmenter` takes commands and samples as they arrive; it steps the model along,
-cuts the stream into strokes, and reports at once when the valve does not open or close. A `StrokeMonitor` compares each
-stroke with the baseline, in some milliseconds. A `Monitor` runs both in one thread. Time is passed in with the data.
-"""
+"""A monitor whose segmenter and stroke monitor run in one thread, for tests and benchmarks."""
 
 from __future__ import annotations
 
