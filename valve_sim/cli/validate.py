@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeVar
 
 import click
 
-from valve_sim.cli.cluster import Decorated
 from valve_sim.cli.command_line import Command
 from valve_sim.cli.options import (
     FILE,
@@ -24,6 +23,7 @@ from valve_sim.cli.printing import print_report, progress_bar, refuse, shown
 from valve_sim.cli.reading import declared_valve, read_recordings
 from valve_sim.files.ledger import plan_files
 
+Decorated = TypeVar("Decorated", bound=Callable[..., object])
 OUTSIDE: Final = 1
 """Exit code where a recording is outside the tolerance."""
 

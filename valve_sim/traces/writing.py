@@ -20,8 +20,8 @@ from valve_sim.files.ledger import note_written
 from valve_sim.files.whole_files import atomic_write
 from valve_sim.traces.cdr import encode_messages, typestore
 from valve_sim.traces.clocks import SECOND
-from valve_sim.traces.errors import TraceError
 from valve_sim.traces.layout import COMMAND, MEASURED
+from valve_sim.traces.trace import TraceError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

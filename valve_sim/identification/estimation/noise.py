@@ -17,7 +17,7 @@ from valve_sim.identification.plants.protocol import Channel
 from valve_sim.model.core.machine import made_once
 from valve_sim.model.core.native import native
 from valve_sim.model.core.polynomials import Block
-from valve_sim.signals.long_columns import places_in, repeated_levels
+from valve_sim.signals.resting_noise import repeated_levels
 
 Array = NDArray[np.float64]
 
@@ -319,7 +319,7 @@ def stretches(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
     """(start, stop) of each run of True in (n,) mask."""
     if not len(mask):
         return []
-    changes = 1 + places_in(len(mask) - 1, lambda own: mask[own.start + 1 : own.stop + 1] != mask[own])
+    changes = 1 + np.flatnonzero(mask[1:] != mask[:-1])
     edges = np.concatenate([[0] if mask[0] else [], changes, [len(mask)] if mask[-1] else []]).astype(np.intp)
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
@@ -373,7 +373,7 @@ def _spread(windows: Sequence[Window]) -> float:
 
 def quantisation_step(*pieces: Array) -> float:
     """The step of a quantised signal, in its unit; 0 if readings hardly repeat."""
-    levels = repeated_levels(pieces)
+    levels = repeated_levels(np.concatenate(pieces)) if pieces else np.empty(0)
     if len(levels) < 3:
         return 0.0
     gaps = np.diff(levels)
