@@ -150,10 +150,12 @@ def ended(process: subprocess.Popen[str], number: int | None = None, code: int =
 
 
 @contextlib.contextmanager
-def piped(folder: Path, program: Sequence[str], **parameters: object) -> Iterator[subprocess.Popen[str]]:
+def piped(
+    folder: Path, program: Sequence[str], words: Sequence[str] = (), **parameters: object
+) -> Iterator[subprocess.Popen[str]]:
     """Python with a program that takes ROS parameters, while inside; its stderr is a pipe, read when it has ended."""
     pairs = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
-    command = [sys.executable, *program, "--ros-args", *pairs]
+    command = [sys.executable, *program, "--ros-args", *words, *pairs]
     environment = {**os.environ, "ROS_LOG_DIR": str(folder)}
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment) as process:
         try:

@@ -213,6 +213,8 @@ def test_parameters_are_validated_and_applied_without_a_jump(rested: Probe) -> N
     assert "expected 0 < pilot_gap < stroke" in bad[1].reason
     assert "expected four numbers" in bad[3].reason
     assert rested.parameters()["valve.pilot_gap"] == 0.26e-3
+    (long,) = rested.set_parameters(frame_id="x" * 5_000_000)
+    assert (long.successful, long.reason[-60:]) == (False, "frame_id: found 5000000 characters, expected at most 4096")
     back = rested.set_parameters(valve__spring_rate=428.0, effects__stiction__force=0.0, publish_rate=1000.0)
     assert [result.successful for result in back] == [True] * 3
 

@@ -11,6 +11,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any, ClassVar, Final, NamedTuple, TypeVar
 
+from valve_sim.files.entries import short
 from valve_sim.files.parameter_files import check_with_off, off_value
 from valve_sim.files.parameter_sections import Section
 from valve_sim.model import Parameter, ParameterError
@@ -21,6 +22,9 @@ Value = Any
 
 ROS_OWN: Final = ("use_sim_time", "start_type_description_service")
 ROS_OWN_PREFIX: Final = "qos_overrides."
+LONGEST_TEXT: Final = 4096
+"""Characters of a parameter: as many as the longest path of a file."""
+LONGEST_LIST: Final = 1000
 _TYPES: Final = {bool: "bool", int: "integer", float: "double", str: "string"}
 
 
@@ -90,16 +94,18 @@ class NodeParameter(NamedTuple):
             return self._checked_list(value, where)
         if self.type == "bool":
             if not isinstance(value, bool):
-                raise ParameterError(f"{where}: found {value!r}, expected true or false")
+                raise ParameterError(f"{where}: found {short(value)}, expected true or false")
             return value
         if self.type == "string":
             if not isinstance(value, str):
-                raise ParameterError(f"{where}: found {value!r}, expected text")
+                raise ParameterError(f"{where}: found {short(value)}, expected text")
+            if len(value) > LONGEST_TEXT:
+                raise ParameterError(f"{where}: found {len(value)} characters, expected at most {LONGEST_TEXT}")
             if self.choices and value not in self.choices:
-                raise ParameterError(f"{where}: found {value!r}, expected {self.choice_words}")
+                raise ParameterError(f"{where}: found {short(value)}, expected {self.choice_words}")
             return value
         if self.type == "integer" and (isinstance(value, bool) or not isinstance(value, int)):
-            raise ParameterError(f"{where}: found {value!r}, expected a whole number")
+            raise ParameterError(f"{where}: found {short(value)}, expected a whole number")
         return self._checked_number(value, where)
 
     def _checked_number(self, value: object, where: str) -> float:
@@ -110,16 +116,18 @@ class NodeParameter(NamedTuple):
         of_text = self.type.startswith("string")
         if isinstance(value, str) or not isinstance(value, Collection):
             kind = "names" if of_text else "numbers"
-            raise ParameterError(f"{where}: found {value!r}, expected a list of {kind}")
+            raise ParameterError(f"{where}: found {short(value)}, expected a list of {kind}")
         items = list(value)
+        if len(items) > LONGEST_LIST:
+            raise ParameterError(f"{where}: found {len(items)} entries, expected at most {LONGEST_LIST}")
         if not of_text:
             return [self._checked_number(item, f"{where}[{index}]") for index, item in enumerate(items)]
-        if not all(isinstance(item, str) for item in items):
-            raise ParameterError(f"{where}: found {value!r}, expected a list of names")
+        if not all(isinstance(item, str) and len(item) <= LONGEST_TEXT for item in items):
+            raise ParameterError(f"{where}: found {short(value)}, expected a list of names")
         may_be_empty = "" in self.default
         names = [name for item in items if (name := item.strip()) or may_be_empty]
         if not names:
-            raise ParameterError(f"{where}: found {value!r}, expected at least one name")
+            raise ParameterError(f"{where}: found {short(value)}, expected at least one name")
         return names
 
 
@@ -223,7 +231,7 @@ def check_given(
             values[name] = table[name].check(value, where)
         elif not is_of_ros(name):
             raise ParameterError(
-                f"{where}: found {value!r} under an unknown name; expected a parameter of {program}, "
+                f"{where}: found {short(value)} under an unknown name; expected a parameter of {program}, "
                 f"did you mean {closest(name, list(table))}?"
             )
     return values
