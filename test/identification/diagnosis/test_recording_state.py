@@ -109,6 +109,7 @@ def test_a_declared_average_of_readings_is_no_effect_of_the_valve() -> None:
         assert found.after.intervals[name].low < SHEET_VALVE[name] < found.after.intervals[name].high
 
 
+@pytest.mark.long
 def test_a_declared_bandwidth_of_the_sensor_is_no_effect_of_the_valve() -> None:
     recording = measure(
         SHEET_VALVE, {"sensor_bandwidth": {"cutoff_frequency": 500.0}}, train_profile(), Laboratory(), 7

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -56,10 +57,10 @@ def test_a_value_has_the_unit_that_people_read(value: float, unit: str, words: s
 
 
 @pytest.mark.parametrize("unit", UNITS)
-@pytest.mark.parametrize("value", [0.0, 1.04e-6, 0.3, 7.0, 3e5])
-def test_every_value_of_the_catalogue_has_a_unit(unit: str, value: float) -> None:
-    found = Interval(value, 0.1 * value + 1e-9, 0.8 * value, math.inf)
-    for words in (quantity(value, unit), measured(found, unit), limits(found, unit)):
+def test_every_value_of_the_catalogue_has_a_unit(unit: str) -> None:
+    values = [(value, Interval(value, 0.1 * value + 1e-9, 0.8 * value, math.inf)) for value in (0.0, 1.04e-6, 3e5)]
+    told = [(quantity(value, unit), measured(found, unit), limits(found, unit)) for value, found in values]
+    for words in itertools.chain(*told):
         assert words.split(" ")[-1][-1] == unit[-1]
         assert "e-" not in words
         assert "inf" not in words
@@ -70,8 +71,7 @@ def test_a_value_has_as_many_digits_as_its_error() -> None:
     assert measured(Interval(1.04e-6, 0.13e-6, 0.8e-6, 1.3e-6), "m") == "1.04 ± 0.13 µm"
 
 
-@pytest.mark.parametrize("kind", ["effects", "unknown", "insufficient", "none"])
-@pytest.mark.parametrize("probability", [0.33, 0.7, 0.99])
+@pytest.mark.parametrize(("kind", "probability"), [("effects", 0.33), ("unknown", 0.7), ("insufficient", 0.99)])
 def test_headlines_have_no_names_of_code(diagnosis: Diagnosis, kind: str, probability: float) -> None:
     for name in NAMED:
         verdict = diagnosis.verdict
@@ -82,8 +82,7 @@ def test_headlines_have_no_names_of_code(diagnosis: Diagnosis, kind: str, probab
         assert "_" not in words
         assert words[0].isupper()
         assert words.endswith(".")
-        if kind != "none":
-            assert title_of(name).lower() in words.lower()
+        assert title_of(name).lower() in words.lower()
 
 
 @pytest.mark.parametrize(("probability", "words"), [(0.33, "Perhaps"), (0.7, "Probably"), (0.99, "Nothing")])
@@ -97,8 +96,7 @@ def test_that_nothing_is_missing_is_said_once_and_as_sure_as_it_is(
     assert f"Probability {100 * probability:.0f} %." in text
 
 
-@pytest.mark.parametrize("kind", ["effects", "unknown", "insufficient"])
-@pytest.mark.parametrize("strokes", [1, 8])
+@pytest.mark.parametrize(("kind", "strokes"), [("effects", 8), ("unknown", 1), ("insufficient", 8)])
 def test_a_summary_and_its_advice_have_no_names_of_code(diagnosis: Diagnosis, kind: str, strokes: int) -> None:
     plant = diagnosis.plant
     experiment = Experiment("a pulse of 4 ms at 9 V", lambda machine: plant)
