@@ -208,7 +208,10 @@ def test_what_a_model_lacks_is_said_or_that_errors_of_the_recording_may_be_that(
 def test_errors_of_a_recording_are_estimated_along() -> None:
     """A sensor that shows 0.5 % too much reads as nothing else; the dampings hold beside it."""
     trace = recorded(Recorder(quantisation=0.1e-6))
-    result = identify([replace(trace, pilot_position=1.005 * trace.pilot_position)], EXACT_VALVE)
+    table = replace(trace, pilot_position=1.005 * trace.pilot_position, clock="time column")
+    result = identify([table], EXACT_VALVE)
+    (clock,) = (own for own in result.recording[trace.source] if own.error == "clock_offset")
+    assert "share one clock" in clock.what_to_do, "a table has no two clocks that could be synchronised"
     (scale,) = (own for own in result.recording[trace.source] if own.error == "scale")
     assert abs(scale.size - 0.005) < 3.0 * scale.stderr
     assert scale.stderr < 0.001

@@ -143,6 +143,7 @@ def test_a_state_says_what_errors_cost_and_what_to_do() -> None:
     assert {"drift", "hum", "stroke_variation"} <= {entry["error"] for entry in entries["recording"]}
 
 
+@pytest.mark.long
 def test_no_state_is_told_beside_a_model_that_lacks_something() -> None:
     trace = measured(Laboratory(), "train", coulomb_friction={"force": 0.3})
     state = state_of_recording(trace, DECLARED)

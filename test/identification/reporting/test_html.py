@@ -185,6 +185,19 @@ def test_the_next_recording_is_a_profile_in_the_folder_while_there_is_something_
     assert not doubtful[-1].exists()
 
 
+def test_commands_are_for_the_valve_that_was_diagnosed(diagnosis: Diagnosis, tmp_path: Path) -> None:
+    unsure = replace(diagnosis.verdict, confusable_with={"coulomb_friction": ("stiction",)})
+    options = "--params 'my valve.yaml' --map map.yaml --valve /tank_1/valve"
+    _, page, _, profile = write_diagnosis(replace(diagnosis, verdict=unsure), tmp_path, "by a test", options=options)
+    told, header = html.unescape(page.read_text()), profile.read_text()
+    for text in (told, header):
+        (simulate,) = re.findall(r" simulate --profile .*", text)
+        assert "--params 'my valve.yaml'" in simulate and "--map" not in simulate
+    (check,) = re.findall(r" validate ANOTHER_RECORDING .*", told)
+    assert check.endswith("corrected.yaml --map map.yaml --valve /tank_1/valve")
+    assert f" diagnose OLD NEW {options} --output results" in header
+
+
 class OtherMachine:
     """A plant that is no valve."""
 
