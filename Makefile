@@ -2,6 +2,7 @@
 # make shell      opens a shell in which valve-sim and the nodes are found
 # make test       checks and tests, in ten minutes on two cores
 # make test-long  the long tests: fuzzing, faults, a fleet, printed commands, ROS 2 Kilted, a slice of the campaign
+# make golden     writes test/golden anew: what is said of the shipped recordings; read the diff
 # make docs       builds the documentation: build/docs/index.html
 #
 # Where a ROS 2 is sourced it is used as it is; elsewhere the wheels of Jazzy are installed into .venv.
@@ -44,7 +45,7 @@ WITH_NODES = $(shell grep --recursive --files-with-matches --include='test_*.py'
 KILTED_TESTS := $(foreach name,messages encoded_messages receiving node_clock tables valve_node identification_node monitor_node \
 	station supervision refusals,test/nodes/test_$(name).py)
 
-.PHONY: run shell test test-long compiled docs nodes tests lint types layers long-nodes long-tests campaign kilted
+.PHONY: run shell test test-long golden compiled docs nodes tests lint types layers long-nodes long-tests campaign kilted
 .DELETE_ON_ERROR:
 
 run: $(ENVIRONMENT)/.warm
@@ -64,6 +65,9 @@ test-long: $(ENVIRONMENT)/.ready-to-test $(KILTED:%=.venv-%/.ready-to-test)
 
 nodes tests long-nodes long-tests campaign: compiled
 kilted: .venv-kilted/.warm
+
+golden: $(ENVIRONMENT)/.ready-to-test
+	$(PYTHON) test/golden_table.py
 
 # Beside the parts that need no compiled code. Where this fails, the tests run all the same, and say what is wrong.
 compiled:

@@ -57,7 +57,7 @@ PARQUET = ["pyarrow>=14.0"]
 FLEET = ["dask>=2024.1", "distributed>=2024.1", "fsspec>=2024.2", "s3fs>=2024.2", *PARQUET]
 OPCUA = ["asyncua>=2.1,<3"]
 MODBUS = ["pymodbus>=3.16,<4"]
-FMI = ["pythonfmu>=0.7", "pythonfmu3>=0.3.4", "fmpy>=0.3.20"]
+FMI = ["pythonfmu>=0.7", "fmpy>=0.3.20"]
 S3_SERVER = ["flask", "flask-cors", "moto"]
 CHECKS = [
     "codespell>=2.2",
@@ -130,7 +130,6 @@ setup(
         "console_scripts": [
             "archive_node = valve_sim.station.__main__:archive_node",
             "command_profile = valve_sim.nodes.__main__:command_profile",
-            "dispenser_node = valve_sim.station.__main__:dispenser_node",
             "identification_node = valve_sim.nodes.__main__:identification_node",
             "monitor_node = valve_sim.nodes.__main__:monitor_node",
             "opcua_node = valve_sim.station.__main__:opcua_node",

@@ -22,8 +22,7 @@ from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
 from plants.recording import BAG_START_NS, Recorder, Recording, record, train_bags, write_bag
 
 from benchmarks.common import parser
-from valve_sim.fleet.cluster import Cluster
-from valve_sim.fleet.run import examine_with
+from valve_sim.fleet.run import dask_client, examine_fleet
 from valve_sim.fleet.units import Options
 
 DAYS, DAY_NS = 100, 86_400_000_000_000
@@ -94,8 +93,8 @@ def named(seed: int, bags: int, valves: int, options: Options) -> Named:
         folder = Path(place)
         make_station(folder / "bags", recordings(bags, valves, seed))
         begun, before = time.perf_counter(), _processor()
-        with Cluster() as cluster:
-            outcome = examine_with(cluster.client, [str(folder / "bags")], folder / "out", options=options)
+        with dask_client(None, None) as client:
+            outcome = examine_fleet([str(folder / "bags")], folder / "out", client, options=options)
         for words in outcome.drifting:
             print(f"  {words}")
     found = {int(one.partition("/valve")[0].rpartition("_")[2]) for one in outcome.drifting}

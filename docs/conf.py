@@ -49,7 +49,7 @@ nb_merge_streams = True
 
 autosummary_generate = True
 # What needs an extra is documented where that is missing, too.
-_EXTRAS = ("aiosqlite", "asyncua", "cryptography", "pymodbus", "pythonfmu", "pythonfmu3")
+_EXTRAS = ("aiosqlite", "asyncua", "cryptography", "pymodbus", "pythonfmu")
 autodoc_mock_imports = [name for name in _EXTRAS if find_spec(name) is None]
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"

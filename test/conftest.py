@@ -14,6 +14,9 @@ settings.load_profile("seeded")
 SHARED = {
     "test_html.py": "the diagnosis of friction",
     "test_wording.py": "the diagnosis of friction",
+    "test_golden.py": "the shipped recordings",
+    "test_bags.py": "the shipped recordings",
+    "test_api.py": "the shipped recordings",
 }
 """Files whose costly recordings or diagnoses are cached in the process that made them, and what these are."""
 

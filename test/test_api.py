@@ -10,20 +10,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shipped import diagnosed, identified, recording
 
 import valve_sim as vs
 from valve_sim.model import ValveError
 from valve_sim.traces import Trace
 
-BAG = Path(__file__).parents[1] / "bags" / "friction"
 DRIVE = vs.Drive.of([0.01, 0.04], [9.0, 0.0])
 
 
 @pytest.fixture(scope="module")
 def trace() -> Trace:
-    recording = vs.read(BAG)
-    assert isinstance(recording, Trace)
-    return recording
+    return recording("friction")
 
 
 def test_every_public_name_is_there_and_completed() -> None:
@@ -58,8 +56,8 @@ def test_a_valve_that_stays_closed_says_so() -> None:
     assert run.table_of_events() == []
 
 
-def test_the_residual_is_that_which_identify_reports(trace: Trace) -> None:
-    found = vs.identify(trace)
+def test_the_residual_is_that_which_identify_reports() -> None:
+    found = identified("friction")
     left = found.residual()
     assert left.unit == "m"
     assert left.rms == pytest.approx(found.rmse_after, rel=1e-9)
@@ -73,9 +71,8 @@ def test_the_residual_is_that_which_identify_reports(trace: Trace) -> None:
     assert found.plot()._repr_png_().startswith(b"\x89PNG")
 
 
-@pytest.mark.long
-def test_a_diagnosis_is_what_the_command_line_says(trace: Trace, tmp_path: Path) -> None:
-    found = vs.diagnose(trace)
+def test_a_diagnosis_is_what_the_command_line_says(tmp_path: Path) -> None:
+    found = diagnosed("friction")
     assert found.verdict.effects == ("coulomb_friction",)
     assert found.residual().rms == pytest.approx(found.after.train_rmse, rel=0.01)
     assert found.residual().rms < found.residual(before=True).rms

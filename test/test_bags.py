@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import pytest
+from shipped import ROOT, identified
 
-from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.diagnosis.identify import identify
 from valve_sim.identification.estimation.declared_values import out_of_tolerance
-from valve_sim.identification.estimation.findings import LacksSomething
-from valve_sim.traces import list_valves, read_trace
+from valve_sim.traces import list_valves
 
-BAGS = Path(__file__).resolve().parents[1] / "bags"
+BAGS = ROOT / "bags"
 ROWS = re.findall(r"^\| `([^`]+)` .* ([\d.]+) / ([\d.]+) \|$", (BAGS / "README.md").read_text(), re.MULTILINE)
 
 
@@ -26,10 +23,8 @@ def test_every_bag_has_its_row_and_all_are_small() -> None:
 @pytest.mark.parametrize(("name", "pilot", "main"), ROWS, ids=[row[0] for row in ROWS])
 def test_a_bag_identifies_as_what_it_was_made_with(name: str, pilot: str, main: str) -> None:
     assert list_valves(BAGS / name) == ("/valve",)
-    result = identify([read_trace(BAGS / name)], default_valve())
+    result = identified(name.rstrip("/").removesuffix(".mcap"))
     if name == "friction/":
-        exact = identify([read_trace(BAGS / name)], default_valve().exact())
-        assert [finding for finding in exact.findings if isinstance(finding, LacksSomething)]
         assert out_of_tolerance(result.declared), "what is missing is no tolerance"
         return
     assert not out_of_tolerance(result.declared)

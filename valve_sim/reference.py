@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Final
 
 from valve_sim.files.channels import CHANNELS, COIL, JUDGED, LIVE_COIL, ROLES, UNITS
-from valve_sim.fleet.columns import BEFORE, SCHEMA, columns, followed, quantities
 from valve_sim.model import CATALOGUE
 from valve_sim.model.latex import equations_without_effects, formulas_of
 from valve_sim.model.parameters import Parameter
@@ -30,13 +29,11 @@ _TOPICS: Final = {
     "identification_node": topics.IDENTIFICATION,
     "monitor_node": topics.MONITOR,
     "command_profile": topics.PROFILE,
-    "dispenser_node": station.DISPENSER_TOPICS,
     "opcua_node": station.OPCUA_TOPICS,
     "plc_node": station.PLC_TOPICS,
     "archive_node": station.ARCHIVE_TOPICS,
 }
 _STATION: Final[dict[str, type[NodeSettings]]] = {
-    "dispenser_node": station.DispenserSettings,
     "opcua_node": station.OpcUaSettings,
     "plc_node": station.PlcSettings,
     "archive_node": station.ArchiveSettings,
@@ -54,7 +51,6 @@ def pages() -> dict[str, str]:
         "channels.md": ("Channels of a recording", [*_channels()]),
         "parameters.md": ("Parameters of the nodes", [*_node_parameters()]),
         "effects.md": ("Effects", [*_effects()]),
-        "fleet_table.md": ("fleet.parquet", [*_fleet_table()]),
     }
     return {file: "\n\n".join([f"# {title}", made_by, *parts]) + "\n" for file, (title, parts) in contents.items()}
 
@@ -224,25 +220,6 @@ def _effects() -> Iterator[str]:
         if (whole := effect.given_as_list) is not None:
             rows.append((f"`{whole.name}`", whole.unit, whole.description, whole.range_words, "all 0"))
         yield _table(("parameter", "unit", "meaning", "range", "off"), rows)
-
-
-def _fleet_table() -> Iterator[str]:
-    yield (
-        f"What `valve-sim fleet` writes: one row for each bag and valve, form `{SCHEMA}`. Units and meanings are the "
-        "metadata of each column, too. What is not known is null."
-    )
-    estimated = {name for own in (*quantities(), *followed()) for name in (own.name, own.stderr)}
-    own = [(f"`{c.name}`", c.type, c.unit or "–", c.meaning) for c in columns() if c.name not in estimated]
-    yield _table(("column", "type", "unit", "meaning"), own)
-    yield "## What is estimated"
-    yield (
-        f"Numbers, each with its standard error in a column of the same name that ends with `_stderr`. Those that end "
-        f"with `{BEFORE}` are of the declared valve as it was refitted to every bag in the same way, in which "
-        "[trends](../how_to/fleet.md#which-valve-drifts) are looked for; the others are of the corrected valve."
-    )
-    yield _table(("column", "unit", "meaning"), [(f"`{q.name}`", q.unit or "–", q.meaning) for q in quantities()])
-    yield "## What is followed over time"
-    yield _table(("column", "unit"), [(f"`{q.name}`", q.unit or "–") for q in followed()])
 
 
 def _off(parameter: Parameter) -> str:

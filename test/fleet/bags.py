@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence, Set
+from collections.abc import Set
 from pathlib import Path
 from typing import Any
 
@@ -26,15 +26,18 @@ def make_bag(folder: Path, day: float = 0.0, valve: str = "/valve", seed: int = 
     return write_bag(made, folder, valve, BAG_START_NS + round(day * DAY_NS))
 
 
-def counted(monkeypatch: pytest.MonkeyPatch, state: str = EXAMINED, seconds: float = 0.0) -> list[str]:
-    """Names of the bags whose units are examined from now on, which is said to take so long and has this result."""
+def counted(monkeypatch: pytest.MonkeyPatch, fails: bool = False) -> list[str]:
+    """Names of the bags whose valves are examined from now on, which finds nothing, or fails by no fault of theirs."""
     asked: list[str] = []
 
-    def instead(units: Sequence[Unit], output: Path) -> list[Examined]:
-        asked.extend(Path(unit.bag.source).name for unit in units)
-        return [Examined(unit.row(state, verdict="none", start_time=1), {}, seconds) for unit in units]
+    def instead(unit: Unit, output: Path) -> Examined:
+        asked.append(Path(unit.bag.source).name)
+        if fails:
+            raise OSError("gone")
+        values = {"verdict": "none", "effects": [], "out_of_tolerance": [], "start_time": 1, "summary": ""}
+        return Examined(unit.row(EXAMINED, **values), {})
 
-    monkeypatch.setattr(fleet_run, "examine_units", instead)
+    monkeypatch.setattr(fleet_run, "examine", instead)
     return asked
 
 

@@ -1,4 +1,4 @@
-"""A scheduler and workers as processes, started by the commands of docs/how_to/fleet.md, and what is done to them."""
+"""A scheduler and a worker as processes, started by the commands of docs/how_to/fleet.md, and what is done to them."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ import re
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-import pyarrow.parquet as pq
 import pytest
-from distributed import Client, LocalCluster
 
-from valve_sim.fleet.cluster import BATCH_SECONDS, MOST_IN_BATCH, BatchSize, Cluster, ClusterError, Done, run_batches
-from valve_sim.fleet.run import examine_fleet
+from valve_sim.fleet import run as fleet_run
+from valve_sim.fleet.run import RETRIES, dask_client, examine_fleet
+from valve_sim.fleet.units import Options
+from valve_sim.model.errors import ValveError
 
-from . import deeds
 from .bags import assert_rows_agree, make_bag
 
 pytestmark = pytest.mark.long
@@ -78,99 +78,78 @@ def _address(log: Path, scheduler: subprocess.Popen[str]) -> str:
         assert scheduler.poll() is None, log.read_text("utf-8")
 
 
-def answers(done: Iterator[Done[int, float]]) -> dict[int, float | str]:
-    found: dict[int, float | str] = {}
-    for batch in done:
-        for item, answer in zip(batch.items, batch.answers or [batch.failure] * len(batch.items), strict=True):
-            assert item not in found
-            found[item] = answer
-    return found
-
-
-def no_time(answer: float) -> float:
-    return 0.0
-
-
-def test_batches_are_as_long_as_they_are_to_take_and_shorter_towards_the_end() -> None:
-    size = BatchSize()
-    assert size.next(1000, 2) == 1
-    size.learn(4.0, 1)
-    assert size.next(1000, 2) == 1
-    for _ in range(100):
-        size.learn(0.1, 1)
-    assert size.next(1000, 2) == pytest.approx(BATCH_SECONDS / 0.1, abs=1)
-    assert size.next(20, 2) == 5
-    for _ in range(100):
-        size.learn(0.0, 10)
-    assert size.next(10**6, 2) == MOST_IN_BATCH
-
-
-def test_what_fails_is_found_alone_and_all_else_is_done() -> None:
-    cluster = LocalCluster(n_workers=2, threads_per_worker=1, processes=False, dashboard_address=":0")
-    with cluster, Client(cluster, set_as_default=False) as client:
-        found = answers(run_batches(lambda: client, deeds.twice_but_for_seven, range(600), no_time))
-    assert found.pop(7) == "the process that worked on it ended: RuntimeError: seven"
-    assert found == {item: 2.0 * item for item in range(600) if item != 7}
-
-
-def test_a_scheduler_that_is_gone_when_it_is_asked_for_its_workers_is_one_clear_line(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    cluster = LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=":0")
-    with cluster, Client(cluster, set_as_default=False) as client:
-        known = [client.nthreads()]
-
-        def asked() -> dict[str, int]:
-            if not known:
-                raise OSError("Timed out trying to connect to tcp://127.0.0.1:1 after 30 s")
-            return known.pop()
-
-        monkeypatch.setattr(client, "nthreads", asked)
-        with pytest.raises(ClusterError, match=r"the scheduler was lost \(Timed out"):
-            answers(run_batches(lambda: client, deeds.twice, range(600), no_time))
-
-
-def test_a_process_may_have_one_cluster_after_another() -> None:
-    """In a process of its own, to which Dask is new: its defaults must outlive the settings of the first cluster."""
-    program = (
-        "from valve_sim.fleet.cluster import Cluster\n"
-        "Cluster._started = lambda self: __import__('distributed')\n"
-        "with Cluster() as first: first.client()\n"
-        "import dask; print(dask.config.get('distributed.comm.require-encryption'))"
-    )
-    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
-    assert (ran.stdout.strip(), ran.returncode) == ("None", 0), ran.stderr
+def twice(item: int, marker: Path, scheduler: int) -> int:
+    """Twice the item; 3 kills its process the first time, 7 fails, and 9 kills the scheduler."""
+    if item == 3 and not marker.exists():
+        marker.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    if item == 7:
+        with marker.open("a") as stream:
+            stream.write("x")
+        raise OSError("seven")
+    if item == 9:
+        os.kill(scheduler, signal.SIGKILL)
+    return 2 * item
 
 
 def test_rows_are_the_same_from_one_process_and_from_a_scheduler_by_tcp(machines: Machines, tmp_path: Path) -> None:
     for day in range(3):
         make_bag(tmp_path / "bags" / f"day_{day}", day, seed=1 + day)
     (tmp_path / "bags" / "empty.mcap").write_bytes(b"")
-    examine_fleet([str(tmp_path / "bags")], tmp_path / "here")
-    with Cluster(machines.address) as cluster:
-        examine_fleet([str(tmp_path / "bags")], tmp_path / "there", cluster.client())
+    options = Options(search=False)
+    examine_fleet([str(tmp_path / "bags")], tmp_path / "here", options=options)
+    with dask_client(machines.address, None) as client:
+        outcome = examine_fleet([str(tmp_path / "bags")], tmp_path / "there", client, options=options)
     assert_rows_agree(tmp_path / "here", tmp_path / "there", {"seconds"})
-    assert pq.read_metadata(tmp_path / "here" / "fleet.parquet").num_rows == 4
+    assert len(outcome.rows) == 4
 
 
-def test_a_worker_that_is_killed_costs_nothing_but_what_it_was_doing(machines: Machines, tmp_path: Path) -> None:
-    marker = tmp_path / "killed"
-    with Cluster(machines.address) as cluster:
-        found = answers(
-            run_batches(cluster.client, partial(deeds.twice_after_a_death, marker=marker), range(20), no_time)
-        )
-    assert marker.exists()
-    assert found == {item: 2.0 * item for item in range(20)}
-
-
-def test_a_scheduler_that_is_killed_is_one_clear_line(
-    machines: Machines, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+def test_killed_workers_failures_and_a_killed_scheduler(
+    machines: Machines, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    work = partial(deeds.kill_it, process=machines.scheduler.pid)
-    with Cluster(machines.address) as cluster, pytest.raises(ClusterError, match="scheduler was lost") as refused:
-        answers(run_batches(cluster.client, work, range(5), no_time))
+    work = partial(twice, marker=tmp_path / "marker", scheduler=machines.scheduler.pid)
+    with dask_client(machines.address, None) as client:
+        answers = dict(fleet_run._done(client, work, range(9)))
+    assert str(answers.pop(7)) == "seven"
+    assert answers == {item: 2 * item for item in range(9) if item != 7}
+    assert (tmp_path / "marker").read_text() == "x" * (1 + RETRIES)
+    with (
+        dask_client(machines.address, None) as client,
+        pytest.raises(ValveError, match="was lost") as refused,
+    ):
+        list(fleet_run._done(client, work, [1, 9, 2]))
     assert "\n" not in str(refused.value)
+    monkeypatch.setattr(fleet_run, "ANSWERS_WITHIN", 1.0)  # s: nobody is there to be waited for
+    with dask_client(machines.address, None) as client, pytest.raises(ValveError, match="no Dask scheduler answers"):
+        client()
     assert "Traceback" not in capfd.readouterr().err
-    monkeypatch.setattr("valve_sim.fleet.cluster.CONNECTS_WITHIN", 1.0)  # s: nobody is there to be waited for
-    with Cluster(machines.address) as cluster, pytest.raises(ClusterError, match="no Dask scheduler answers"):
-        cluster.client()
+
+
+def test_ctrl_c_ends_the_command_and_its_workers_with_one_line(tmp_path: Path) -> None:
+    for day in range(3):
+        make_bag(tmp_path / "bags" / f"day_{day}", day, seed=1 + day)
+    command = [sys.executable, "-m", "valve_sim", "fleet", str(tmp_path / "bags"), "--output", str(tmp_path / "out")]
+    process = subprocess.Popen(
+        [*command, "--full", "--workers", "2"], stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        start_new_session=True,
+    )  # fmt: skip
+    assert process.stderr is not None
+    for line in process.stderr:
+        if "looked at: 3" in line:
+            break
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does, to workers, too
+    told = process.communicate()
+    deadline = time.monotonic() + 20.0
+    while _is_alive(process.pid) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert process.returncode == 130
+    assert "Traceback" not in told[0] + told[1]
+    assert not _is_alive(process.pid)
+
+
+def _is_alive(group: int) -> bool:
+    try:
+        os.killpg(group, 0)
+    except ProcessLookupError:
+        return False
+    return True

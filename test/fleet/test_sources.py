@@ -7,10 +7,7 @@ from pathlib import Path
 import fsspec
 import pytest
 
-from valve_sim.fleet.bag_files import at_hand, content_hash
-from valve_sim.fleet.secrets import without_credentials
-from valve_sim.fleet.sources import Bag, BagFile, SourceError, bags_among, find_bags
-from valve_sim.traces import TraceError
+from valve_sim.fleet.sources import Bag, BagFile, SourceError, at_hand, bags_among, content_hash, find_bags
 
 
 def touch(*paths: Path) -> None:
@@ -72,7 +69,7 @@ def test_a_remote_bag_is_fetched_whole_and_has_the_content_of_a_local_one(tmp_pa
     memory.put(str(tmp_path / "bag"), "/fleet-test/bag", recursive=True)
     (local,) = find_bags([str(tmp_path)])
     (remote,) = find_bags(["memory://fleet-test"])
-    assert remote.source == "memory:///fleet-test/bag"
+    assert remote.source == "memory://fleet-test/bag"
     with at_hand(remote) as place:
         assert place.name == "bag"
         assert sorted(path.name for path in place.iterdir()) == ["bag_0.mcap", "metadata.yaml"]
@@ -83,20 +80,13 @@ def test_a_remote_bag_is_fetched_whole_and_has_the_content_of_a_local_one(tmp_pa
 
 @pytest.mark.parametrize("name", ["..", ".", "a\\b", "a\0b"])
 def test_a_name_in_an_object_storage_cannot_lead_out_of_the_workers_folder(name: str) -> None:
-    bag = Bag("memory://x", "memory://x", (BagFile(f"/x/{name}", 1, ""),), True)
-    with pytest.raises(TraceError, match="cannot be the name of a file"), at_hand(bag):
+    bag = Bag("memory://x", (BagFile(f"/x/{name}", 1, ""),), True)
+    with pytest.raises(SourceError, match="cannot be the name of a file"), at_hand(bag):
         pass
 
 
-@pytest.mark.parametrize(
-    ("text", "safe"),
-    [
-        ("ftp://user:pass@host/bag: gone", "ftp://***@host/bag: gone"),
-        ("https://host/bag.mcap?X-Amz-Signature=abc&y=1 failed", "https://host/bag.mcap?*** failed"),
-        ("key AKIAIOSFODNN7EXAMPLE does not exist", "key *** does not exist"),
-        ("the key is wJalrXUtnFEMI/K7MDENG", "the key is ***"),
-        ("what? no such bag", "what? no such bag"),
-    ],
-)
-def test_credentials_do_not_reach_words(text: str, safe: str) -> None:
-    assert without_credentials(text, {"AWS_SECRET_ACCESS_KEY": "wJalrXUtnFEMI/K7MDENG", "DEBUG_KEY": "1"}) == safe
+@pytest.mark.parametrize("url", ["ftp://user:secret@host/bag", "https://host/bag.mcap?X-Amz-Signature=secret"])
+def test_a_url_that_holds_credentials_is_refused_without_them(url: str) -> None:
+    with pytest.raises(SourceError, match="holds credentials") as refused:
+        find_bags([url])
+    assert "secret" not in str(refused.value)

@@ -65,37 +65,30 @@ class Served:
 class Identity:
     """A client's certificate and key, as the files that clients of both makes want."""
 
-    def __init__(self, folder: Path, uri: str = CLIENT_URI, *, is_expired: bool = False) -> None:
+    def __init__(self, folder: Path, *, is_expired: bool = False) -> None:
         folder.mkdir(parents=True, exist_ok=True)
-        self.uri = uri
         self.certificate, self.pem, self.key = folder / "client.der", folder / "client.pem", folder / "key.pem"
         key = cert_gen.generate_private_key()
-        names: list[Any] = [x509.UniformResourceIdentifier(uri), x509.DNSName("localhost")]
+        names: list[Any] = [x509.UniformResourceIdentifier(CLIENT_URI), x509.DNSName("localhost")]
         made = cert_gen.generate_self_signed_app_certificate(
             key, "operator of the test", {}, names, extended=[ExtendedKeyUsageOID.CLIENT_AUTH], days=30
         )
         if is_expired:
-            made = expired(made, key)
+            made = x509.CertificateBuilder(
+                made.issuer, made.subject, made.public_key(), made.serial_number,
+                made.not_valid_before_utc - timedelta(days=365), made.not_valid_after_utc - timedelta(days=365),
+                list(made.extensions),
+            ).sign(key, hashes.SHA256())  # fmt: skip
         self.key.write_bytes(cert_gen.dump_private_key_as_pem(key))
         self.certificate.write_bytes(made.public_bytes(Encoding.DER))
         self.pem.write_bytes(made.public_bytes(Encoding.PEM))
 
-    def trusted_by(self, folder: Path) -> Identity:
+    def trusted_by(self, folder: Path, name: str = "operator") -> Identity:
         """Put the certificate where a person would."""
         trusted = folder / "trusted"
         trusted.mkdir(parents=True, exist_ok=True)
-        (trusted / "operator.der").write_bytes(self.certificate.read_bytes())
+        (trusted / f"{name}.der").write_bytes(self.certificate.read_bytes())
         return self
-
-
-def expired(made: Any, key: Any) -> Any:
-    """The same certificate, of last year."""
-    builder = x509.CertificateBuilder(made.issuer, made.subject, made.public_key(), made.serial_number)
-    builder = builder.not_valid_before(made.not_valid_before_utc - timedelta(days=365))
-    builder = builder.not_valid_after(made.not_valid_before_utc - timedelta(days=1))
-    for extension in made.extensions:
-        builder = builder.add_extension(extension.value, extension.critical)
-    return builder.sign(key, hashes.SHA256())
 
 
 async def connected(endpoint: str, identity: Identity | None = None, uri: str = CLIENT_URI) -> Client:

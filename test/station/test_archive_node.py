@@ -92,9 +92,9 @@ def test_what_a_monitor_said_is_read_after_the_node_has_gone(probe: Probe, tmp_p
     strokes = probe.talker("/monitor/stroke_report", String)
     finding = probe.talker("/monitor/finding", DiagnosticArray, LATCHED)
     answers = probe.talker("/opcua/alarms", DiagnosticArray)
-    answer = {"valve": "/valve", "user": "Bob", "comment": "seen", "shelved": "true"}
+    answer = {"valve": "/valve", "user": "Bob", "comment": "seen"}
     said_of = [KeyValue(key=key, value=value) for key, value in answer.items()]
-    answered = DiagnosticStatus(level=b"\x01", message="shelved for a time by Bob", values=said_of)
+    answered = DiagnosticStatus(level=b"\x01", message="acknowledged by Bob", values=said_of)
     of_another = DiagnosticStatus(message="of another", values=[KeyValue(key="valve", value="/another")])
     folder = tmp_path / "archive"
     program = ("-m", "valve_sim.station", "archive_node", "--ros-args", "-p", f"folder:={folder}")
@@ -114,6 +114,6 @@ def test_what_a_monitor_said_is_read_after_the_node_has_gone(probe: Probe, tmp_p
     assert [row["number"] for row in archive.read("strokes", "/valve")] == [0, 1, 2]
     assert [row["effect"] for row in archive.read("findings", "/valve")] == ["coulomb_friction"]
     row = next(row for row in archive.read("alarms", "/valve") if row["alarm_class"] == "answer")
-    assert (row["level"], row["message"], row["user"]) == (1, "shelved for a time by Bob", "Bob")
-    assert row["is_shelved"] and row["comment"] == "seen" and not archive.read("alarms", "/another")
+    assert (row["level"], row["message"], row["user"]) == (1, "acknowledged by Bob", "Bob")
+    assert row["comment"] == "seen" and not archive.read("alarms", "/another")
     assert any("a report of /valve is left out" in line for line in own_lines(said)), said

@@ -72,7 +72,7 @@ def test_what_is_said_on_topics_is_read_and_methods_call_services(probe: Probe, 
         asked = pool.submit(asyncio.run, _operate(f"opc.tcp://127.0.0.1:{port}/valve_sim/", identity))
         assert probe.until(asked.done)
         values, stamp, methods = asked.result()
-        assert probe.until(lambda: answers), "a person has shelved the alarm"
+        assert probe.until(lambda: answers), "a person has acknowledged the alarm"
         said = ended(process, signal.SIGINT)
     assert values == {
         "Stroke.Number": 31, "Finding.Probability": 0.98, "Live.IsOpen": True, "Live.CoilCurrent": 0.75,
@@ -81,11 +81,10 @@ def test_what_is_said_on_topics_is_read_and_methods_call_services(probe: Probe, 
     assert stamp == datetime(2026, 9, 21, 14, 13, 20, 250000, timezone.utc)
     assert methods["Recommission"] == [True, "the next 20 strokes are taken"]
     assert methods["SelfTest"] == [False, "/valve/self_test: no node offers this service; start it"]
-    (shelved,) = answers[0].status
-    assert (shelved.name, shelved.level) == ("opcua: valve", b"\x01")
-    assert shelved.message.startswith("shelved until it is inactive by ")
-    told = {entry.key: entry.value for entry in shelved.values}
-    assert (told["valve"], told["shelved"]) == ("/valve", "true") and shelved.message.endswith(f" by {told['user']}")
+    (seen,) = answers[0].status
+    told = {entry.key: entry.value for entry in seen.values}
+    assert (seen.name, seen.level, told["valve"], told["comment"]) == ("opcua: valve", b"\x01", "/valve", "I look")
+    assert seen.message == f"acknowledged by {told['user']}" == "acknowledged by operator of the test"
     assert any("ready: opc.tcp://127.0.0.1" in line for line in own_lines(said))
 
 
@@ -112,6 +111,8 @@ async def _operate(endpoint: str, identity: Any) -> tuple[dict[str, Any], dateti
             stamp = read.SourceTimestamp
     valve = client.get_node(ua.NodeId("valve", index))
     methods = {name: await valve.call_method(f"{index}:{name}") for name in ("Recommission", "SelfTest")}
-    await client.get_node(ua.NodeId("valve.Alarm.ShelvingState", index)).call_method("0:OneShotShelve")
+    event = ua.Variant(await client.get_node(ua.NodeId("valve.Alarm.EventId", index)).read_value())
+    comment = ua.Variant(ua.LocalizedText("I look"))
+    await client.get_node(ua.NodeId("valve.Alarm", index)).call_method("0:Acknowledge", event, comment)
     await client.disconnect()
     return values, stamp, methods

@@ -14,13 +14,12 @@ from valve_sim.cli.reading import declared_valve
 
 @click.command("export-fmu", cls=Command)
 @params_option
-@click.option("--fmi", "version", type=click.Choice(["2.0", "3.0"]), default="2.0", help="Version of FMI.")
 @click.option("--output", metavar="FILE", type=FILE, required=True, help="The unit to write, x.fmu.")
 @json_option
-def export_fmu(*, params: Path | None, version: str, output: Path, as_json: bool) -> None:
+def export_fmu(*, params: Path | None, output: Path, as_json: bool) -> None:
     """Write the valve as an FMU for other simulation tools.
 
-    The unit is for co-simulation (FMI 2.0, or 3.0 with --fmi 3.0):
+    The unit is for co-simulation (FMI 2.0):
       valve-sim export-fmu --params config/valve.yaml --output valve.fmu
 
     Inputs are coil_voltage and, of a valve with gas, inlet_pressure and demand_pressure; outputs are pilot_position,
@@ -34,15 +33,14 @@ def export_fmu(*, params: Path | None, version: str, output: Path, as_json: bool
 
     Read on: docs/how_to/fmu.md
     """
-    from valve_sim.fmu.export import export_unit
-    from valve_sim.fmu.identity import NEEDED
+    from valve_sim.fmu.export import NEEDED, export_unit
     from valve_sim.fmu.variables import variables_of
 
     valve = declared_valve(params)
-    export_unit(output, valve, version)
+    export_unit(output, valve)
     variables = variables_of(valve)
     if as_json:
-        print_json({"output": output, "fmi": version, "variables": [entry._asdict() for entry in variables]})
+        print_json({"output": output, "fmi": "2.0", "variables": [entry._asdict() for entry in variables]})
         return
-    click.echo(f"wrote {output} (FMI {version}, {len(variables)} variables)")
+    click.echo(f"wrote {output} (FMI 2.0, {len(variables)} variables)")
     click.echo(NEEDED)

@@ -26,17 +26,15 @@ def history(
 ) -> None:
     r"""Print what an archive holds of a valve.
 
-    The medians of each month's strokes, then findings and alarms. archive_node fills an archive from running monitors,
-    and fleet --archive from bags:
-      valve-sim fleet bags/friction --output results --archive archive
-      valve-sim history /valve --archive archive
+    The medians of each month's strokes, then findings and alarms. archive_node fills an archive from running monitors:
+      valve-sim history tank_1/valve --archive archive
 
     All strokes since a day as a picture:
       valve-sim history tank_1/valve --archive archive --since 2026-01-01 \
           --plot tank_1.png
 
-    Needs the extra parquet, and the first line the extra fleet:
-      pip install '.[parquet,fleet]'
+    Needs the extra parquet:
+      pip install '.[parquet]'
 
     Read on: docs/how_to/archive.md
     """

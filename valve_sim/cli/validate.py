@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeVar
 
 import click
 
-from valve_sim.cli.cluster import Decorated
 from valve_sim.cli.command_line import Command
 from valve_sim.cli.options import (
     FILE,
@@ -22,8 +21,8 @@ from valve_sim.cli.options import (
 from valve_sim.cli.own_plant import chosen_params, is_own, read_plant
 from valve_sim.cli.printing import print_report, progress_bar, refuse, shown
 from valve_sim.cli.reading import declared_valve, read_recordings
-from valve_sim.files.ledger import plan_files
 
+Decorated = TypeVar("Decorated", bound=Callable[..., object])
 OUTSIDE: Final = 1
 """Exit code where a recording is outside the tolerance."""
 
@@ -113,7 +112,6 @@ def validate(
     from valve_sim.identification.validation.replay import validate as replay
 
     planned = [path for path in (junit, plot) if path]
-    plan_files(*planned)
     refuse_unwritable(*planned)
     if plant is not None and is_own(plant):
         result = validate_plant(read_plant(plant, bags), tolerance)

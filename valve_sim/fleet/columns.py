@@ -10,7 +10,7 @@ SCHEMA: Final = "valve_sim/fleet/2"
 """Name of the table's form, in its metadata."""
 
 TEXT, NUMBER, COUNT, TIME, LIST, TRUTH = "text", "number", "count", "time", "list of texts", "truth"
-"""Types of columns, which `results` gives to Parquet."""
+"""Types of columns, which `table` gives to Parquet."""
 
 
 class Column(NamedTuple):
@@ -23,7 +23,7 @@ class Column(NamedTuple):
 
 
 _OF_A_BAG: Final = (
-    Column("source", TEXT, "", "the bag, without credentials; absolute where it is local"),
+    Column("source", TEXT, "", "the bag; absolute where it is local"),
     Column("valve", TEXT, "", "its name in the bag; empty where the bag could not be read or is a duplicate"),
     Column("state", TEXT, "", "examined, unreadable, duplicate, failed, or lost: that is done again by the next run"),
     Column("error", TEXT, "", "why there is no result, in one line; else empty"),

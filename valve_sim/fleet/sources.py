@@ -1,4 +1,4 @@
-"""Where bags are: files, folders that are searched, globs, and URLs of any file system that fsspec knows.
+"""Bags of files, folders that are searched, globs, and URLs of any file system that fsspec knows; fetched to be read.
 
 What is a bag: a folder with metadata.yaml; a folder whose storage files the recorder numbered after it, without that
 file; a .mcap or .db3 file by itself; and any file that is named. All else in a folder is passed over.
@@ -9,14 +9,16 @@ from __future__ import annotations
 import hashlib
 import posixpath
 import re
+import shutil
+import tempfile
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import fsspec
 
-from valve_sim.fleet.secrets import one_line, without_credentials
 from valve_sim.model.errors import ValveError
 
 STORAGE: Final = re.compile(r".+\.(mcap|db3)(\.zstd)?")
@@ -24,11 +26,17 @@ STORAGE: Final = re.compile(r".+\.(mcap|db3)(\.zstd)?")
 OLD_BAG: Final = re.compile(r".+\.bag")
 """Bags of ROS 1, which are found so that a row says what to do with them."""
 METADATA: Final = "metadata.yaml"
+BLOCK: Final = 1 << 20
+"""Bytes that are read at once."""
 _PATTERN: Final = re.compile(r"[*?\[]")
+_CREDENTIALS: Final = re.compile(r"://[^/]*:[^/@]*@|\?.*=")
+"""A user with a password, or a signed query."""
+_LONGEST: Final = 600
+"""Characters of a message that are kept."""
 
 
 class SourceError(ValveError):
-    """A source cannot be listed."""
+    """A source cannot be listed, or a bag cannot be fetched."""
 
 
 class BagFile(NamedTuple):
@@ -40,16 +48,9 @@ class BagFile(NamedTuple):
 
 
 class Bag(NamedTuple):
-    """A bag as it was listed, not yet opened.
-
-    Attributes:
-        source: how people and rows call it: absolute where it is local; without credentials.
-        url: how it is opened.
-        files: in the order of their names. is_folder: whether it is a rosbag2 folder.
-    """
+    """A bag as it was listed, not yet opened: an absolute path or a URL, and its files in the order of their names."""
 
     source: str
-    url: str
     files: tuple[BagFile, ...]
     is_folder: bool
 
@@ -67,69 +68,72 @@ class Bag(NamedTuple):
     @property
     def is_local(self) -> bool:
         """Whether it can be read where it lies."""
-        return "://" not in self.url
+        return "://" not in self.source
+
+
+def one_line(error: BaseException) -> str:
+    """What went wrong, without line breaks."""
+    return (" ".join(str(error).split()) or type(error).__name__)[:_LONGEST]
+
+
+# --- listing --------------------------------------------------------------------------------------------------------
 
 
 def find_bags(sources: Sequence[str]) -> list[Bag]:
     """The bags of all sources, each once, in the order of their names.
 
     Raises:
-        SourceError: a source does not exist, holds no bag, or cannot be listed; one line without credentials.
+        SourceError: a source does not exist, holds no bag, or cannot be listed, or its URL holds credentials.
     """
     found: dict[str, Bag] = {}
     for source in sources:
+        if "://" in source and _CREDENTIALS.search(source):
+            raise SourceError(
+                f"{source.partition('://')[0]}://...: the URL holds credentials, which the table would show; set them "
+                "in the environment of the command and of its workers"
+            )
         try:
             bags = list(_bags_of(source))
         except SourceError:
             raise
         except Exception as error:  # every file system has errors of its own
-            raise SourceError(f"{without_credentials(source)}: cannot be listed ({one_line(error)})") from error
+            raise SourceError(f"{source}: cannot be listed ({one_line(error)})") from error
         if not bags:
             raise SourceError(
-                f"{without_credentials(source)}: no bag in it; give a rosbag2 folder, a .mcap file, a folder with "
-                "such, a glob in quotes or a URL"
+                f"{source}: no bag in it; give a rosbag2 folder, a .mcap file, a folder with such, a glob in quotes or "
+                "a URL"
             )
         found.update((bag.source, bag) for bag in bags)
     return [found[name] for name in sorted(found)]
 
 
 def _bags_of(source: str) -> Iterator[Bag]:
-    is_remote = "://" in source
-    if not is_remote and Path(source).exists():
+    if "://" not in source and Path(source).exists():
         yield from _bags_below(fsspec.filesystem("file"), "", str(Path(source).absolute()))
         return
     system, path = fsspec.core.url_to_fs(source)
-    prefix = source[: source.index("://") + 3] if is_remote else ""
-    if is_remote and not _PATTERN.search(path):
-        yield from _bags_below(system, prefix + _user_of(source, path), path)
+    # What stands before the path on its file system: a protocol, perhaps with a host.
+    prefix = source.rstrip("/").removesuffix(path) if "://" in source else ""
+    if prefix == source.rstrip("/"):
+        prefix = source[: source.index("://") + 3]
+    if "://" in source and not _PATTERN.search(path):
+        yield from _bags_below(system, prefix, path)
         return
     places = system.glob(path)
     if not places and not _PATTERN.search(path):
         raise SourceError(f"{source}: does not exist; give a bag, a folder with bags, a glob in quotes or a URL")
     for place in places:
-        yield from _bags_below(system, prefix + (_user_of(source, path) if is_remote else ""), place)
-
-
-def _user_of(source: str, path: str) -> str:
-    """What stands in a URL between :// and the path on its file system: a host, perhaps with a user."""
-    rest = source.partition("://")[2]
-    return rest[: -len(path)] if path and rest.endswith(path) else ""
+        yield from _bags_below(system, prefix, place)
 
 
 def _bags_below(system: Any, prefix: str, place: str) -> Iterator[Bag]:
     """The bags in one file or folder of a file system."""
-    listed: Mapping[str, Mapping[str, Any]] = system.find(place, detail=True)
-    files = {path: _as_file(path, information) for path, information in listed.items()}
+    files = {path: _as_file(path, information) for path, information in system.find(place, detail=True).items()}
     if list(files) == [place]:
-        yield _named(prefix, place, [files[place]], is_folder=False)
+        yield Bag(prefix + place, (files[place],), is_folder=False)
         return
     for path, inside, is_folder in bags_among(list(files)):
-        yield _named(prefix, path, [files[name] for name in inside], is_folder=is_folder)
-
-
-def _named(prefix: str, path: str, files: Sequence[BagFile], *, is_folder: bool) -> Bag:
-    url = prefix + path
-    return Bag(without_credentials(url), url, tuple(files), is_folder)
+        yield Bag(prefix + path, tuple(files[name] for name in inside), is_folder)
 
 
 def _as_file(path: str, information: Mapping[str, Any]) -> BagFile:
@@ -156,11 +160,65 @@ def bags_among(paths: Sequence[str]) -> list[tuple[str, list[str], bool]]:
 
 
 def _is_bag(folder: str, names: Sequence[str]) -> bool:
-    own = re.escape(posixpath.basename(folder))
-    are_parts = all(re.fullmatch(own + r"_\d+\.(mcap|db3)(\.zstd)?", name) for name in names)
+    start = re.escape(posixpath.basename(folder))
+    are_parts = all(re.fullmatch(start + r"_\d+\.(mcap|db3)(\.zstd)?", name) for name in names)
     return METADATA in names or (are_parts and len(names) > 1)
 
 
 def _numbered(path: str) -> list[int | str]:
     """Sorts bag_2 before bag_10."""
     return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", path)]
+
+
+# --- reading --------------------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def at_hand(bag: Bag) -> Iterator[Path]:
+    """The bag as a local path: in its place, or fetched into a folder that is deleted afterwards.
+
+    Raises:
+        SourceError: one of its files has a name that cannot be a file's.
+        OSError: it cannot be fetched.
+    """
+    if bag.is_local:
+        yield Path(bag.source)
+        return
+    with tempfile.TemporaryDirectory(prefix="valve-sim-fleet-") as folder:
+        place = Path(folder) / _safe_name(bag, bag.source)
+        if bag.is_folder:
+            place.mkdir()
+        system, _ = fsspec.core.url_to_fs(bag.source)
+        for file in bag.files:
+            target = _place_of(bag, file, place)
+            with system.open(file.path, "rb") as stream, target.open("wb") as copy:
+                shutil.copyfileobj(stream, copy, BLOCK)
+        yield place
+
+
+def content_hash(bag: Bag, place: Path) -> str:
+    """SHA-256 of all its bytes, 64 digits; names do not count, so that a copy under another name is the same.
+
+    Raises:
+        OSError: a file cannot be read.
+    """
+    whole = hashlib.sha256()
+    for file in bag.files:
+        with _place_of(bag, file, place).open("rb") as stream:
+            part = hashlib.sha256()
+            while block := stream.read(BLOCK):
+                part.update(block)
+        whole.update(part.digest())
+    return whole.hexdigest()
+
+
+def _place_of(bag: Bag, file: BagFile, place: Path) -> Path:
+    return place / _safe_name(bag, file.path) if bag.is_folder else place
+
+
+def _safe_name(bag: Bag, path: str) -> str:
+    """The last part of a path of an object storage, which may hold anything, as the name of a file."""
+    name = posixpath.basename(path.rstrip("/"))
+    if name in ("", ".", "..") or "\\" in name or "\0" in name:
+        raise SourceError(f"{bag.source}: {name!r} cannot be the name of a file; name it otherwise")
+    return name

@@ -5,26 +5,28 @@ from __future__ import annotations
 import fnmatch
 import hashlib
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from valve_sim import __version__
 from valve_sim.files.parameter_files import default_valve, load_valve
+from valve_sim.fleet.columns import columns
 from valve_sim.fleet.sources import Bag
 from valve_sim.model import ParameterError, Valve
 
 Row = dict[str, Any]
-"""One row of the table, by column; what is not known is left out."""
+"""One row of the table, by column; what is not known is None."""
 
 EXAMINED: Final = "examined"
 UNREADABLE: Final = "unreadable"
 DUPLICATE: Final = "duplicate"
 FAILED: Final = "failed"
 LOST: Final = "lost"
-"""States of a row. What was lost, to no fault of the bag, is done again by the next run."""
-STATES: Final = (EXAMINED, UNREADABLE, DUPLICATE, FAILED, LOST)
+"""States of a row. What was lost, through no fault of the bag, is done again by the next run."""
+
+_UNKNOWN: Final[Row] = {column.name: None for column in columns()}
 
 
 @dataclass(frozen=True)
@@ -45,17 +47,11 @@ class Options:
 
 
 class Survey(NamedTuple):
-    """What a first look at a bag finds.
-
-    Attributes:
-        content: its hash, 64 digits. valves: in it. error: why it cannot be used, or empty.
-        is_lost: whether that is to no fault of the bag.
-    """
+    """What a first look at a bag finds: its bytes' hash, its valves, and why it cannot be used, or empty."""
 
     content: str
     valves: tuple[str, ...]
     error: str = ""
-    is_lost: bool = False
 
 
 class Unit(NamedTuple):
@@ -84,7 +80,7 @@ class ParameterChoice:
 
     default: Path | None = None
     patterns: tuple[tuple[str, Path], ...] = ()
-    _known: dict[tuple[Path | None, str], Valve] = field(default_factory=dict, repr=False, compare=False)
+    _loaded: dict[tuple[Path | None, str], Valve] = field(default_factory=dict, repr=False, compare=False)
 
     def declared(self, valve: str) -> Valve:
         """The declared valve of this name.
@@ -93,9 +89,9 @@ class ParameterChoice:
             ParameterError: its file cannot be used.
         """
         path = next((file for pattern, file in self.patterns if fnmatch.fnmatchcase(valve, pattern)), self.default)
-        if (path, valve) not in self._known:
-            self._known[path, valve] = default_valve() if path is None else _load(path, valve)
-        return self._known[path, valve]
+        if (path, valve) not in self._loaded:
+            self._loaded[path, valve] = default_valve() if path is None else _load(path, valve)
+        return self._loaded[path, valve]
 
     def check(self) -> None:
         """Every file can be read.
@@ -116,67 +112,21 @@ def _load(path: Path, valve: str) -> Valve:
         return load_valve(path)
 
 
-class Plan(NamedTuple):
-    """What a run has to do.
-
-    Attributes:
-        units: to be examined, in the order of their bags. rows: known without: unreadable, duplicate or moved.
-        kept: of earlier runs, still true.
-    """
-
-    units: list[Unit]
-    rows: list[Row]
-    kept: list[Row]
-
-
-def plan(
-    surveys: Sequence[tuple[Bag, Survey]], parameters: ParameterChoice, options: Options, known: Iterable[Row]
-) -> Plan:
-    """What is left to do of what was listed.
-
-    Args:
-        surveys: every bag, in the order of their names: of equal ones, the first is examined.
-        known: rows of earlier runs.
-
-    Raises:
-        ParameterError: a parameter file cannot be used.
-    """
-    by_key = {row["key"]: row for row in known if row["state"] != LOST}
-    found, first_of = Plan([], [], []), dict[str, Bag]()
-    for bag, survey in surveys:
-        if survey.error:
-            state = LOST if survey.is_lost else UNREADABLE
-            row = row_of(bag, survey, state, key=_digest(state, bag.source, bag.stamp), error=survey.error)
-            _settle(row, by_key, found)
-        elif survey.content in first_of:
-            words = f"the same content as {first_of[survey.content].source}"
-            key = _digest(DUPLICATE, bag.source, survey.content, words)
-            _settle(row_of(bag, survey, DUPLICATE, key=key, error=words), by_key, found)
-        else:
-            first_of[survey.content] = bag
-            for valve in survey.valves:
-                declared = parameters.declared(valve)
-                unit = Unit(_key(survey.content, valve, declared, options), bag, survey, valve, declared, options)
-                if unit.key not in by_key:
-                    found.units.append(unit)
-                else:
-                    # It may have been moved since.
-                    _settle({**by_key[unit.key], **_place(bag, survey)}, by_key, found)
-    return found
-
-
-def _settle(row: Row, by_key: Mapping[str, Row], into: Plan) -> None:
-    before = by_key.get(row["key"])
-    is_same = before is not None and all(before.get(name) == value for name, value in row.items() if value is not None)
-    (into.kept if is_same else into.rows).append(row)
-
-
 def row_of(bag: Bag, survey: Survey, state: str, **values: Any) -> Row:
     """What every row has, and these values."""
-    return {"valve": "", "error": "", **_place(bag, survey), "state": state, "version": __version__, **values}
+    return {
+        **_UNKNOWN,
+        "valve": "",
+        "error": "",
+        "version": __version__,
+        "state": state,
+        **place(bag, survey),
+        **values,
+    }
 
 
-def _place(bag: Bag, survey: Survey) -> Row:
+def place(bag: Bag, survey: Survey) -> Row:
+    """The columns of a bag itself, which change if it is moved."""
     return {
         "source": bag.source,
         "stamp": bag.stamp,
@@ -195,8 +145,38 @@ def remembered(bag: Bag, rows: Sequence[Row]) -> Survey | None:
     return None
 
 
-def _key(content: str, valve: str, declared: Valve, options: Options) -> str:
-    return _digest(content, valve, declared.to_mapping(), __version__, options.full, options.budget, options.search)
+def plan(
+    surveys: Sequence[tuple[Bag, Survey]], parameters: ParameterChoice, options: Options, earlier: Iterable[Row]
+) -> tuple[list[Unit], list[Row]]:
+    """What is left to do, and the rows of all else: unreadable bags, duplicates, and results of earlier runs.
+
+    Args:
+        surveys: in the order of their names; of bags with equal content, the first is examined.
+
+    Raises:
+        ParameterError: a parameter file cannot be used.
+    """
+    by_key = {row["key"]: row for row in earlier if row["state"] != LOST}
+    units, rows, first_of = list[Unit](), list[Row](), dict[str, Bag]()
+    for bag, survey in surveys:
+        if survey.error:
+            key = _digest(UNREADABLE, bag.source, bag.stamp)
+            rows.append(row_of(bag, survey, UNREADABLE, key=key, error=survey.error))
+        elif survey.content in first_of:
+            words = f"the same content as {first_of[survey.content].source}"
+            key = _digest(DUPLICATE, bag.source, survey.content)
+            rows.append(row_of(bag, survey, DUPLICATE, key=key, error=words))
+        else:
+            first_of[survey.content] = bag
+            for valve in survey.valves:
+                declared = parameters.declared(valve)
+                depends = (survey.content, valve, declared.to_mapping(), __version__)
+                key = _digest(*depends, options.full, options.budget, options.search)
+                if key in by_key:
+                    rows.append({**by_key[key], **place(bag, survey)})  # it may have been moved since
+                else:
+                    units.append(Unit(key, bag, survey, valve, declared, options))
+    return units, rows
 
 
 def _digest(*parts: Any) -> str:

@@ -1,4 +1,4 @@
-"""The parts of a model description that the libraries leave out: units, and which outputs are known at the start."""
+"""The parts of a model description that the library leaves out: units, and which outputs are known at the start."""
 
 from __future__ import annotations
 
@@ -12,8 +12,6 @@ from valve_sim.model.core.own.units import UnitError, parse_unit
 _SUPERSCRIPTS: Final = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹", "0123456789")
 _BASES: Final = ("m", "kg", "s", "A", "K")
 """Base units of FMI, in the order of a `Dimension`."""
-_TIME: Final = ("time", "s")
-"""The variable that FMI 3.0 has beside those of the valve, and its unit."""
 
 
 def unit_name(unit: str) -> str:
@@ -32,9 +30,9 @@ def base_powers(unit: str) -> dict[str, int] | None:
 
 
 def unit_definitions(variables: Sequence[Variable]) -> Element:
-    """The element UnitDefinitions of both versions, with each unit once."""
+    """The element UnitDefinitions, with each unit once."""
     definitions = Element("UnitDefinitions")
-    for name, own in sorted({unit_name(own): own for own in (_TIME[1], *(entry.unit for entry in variables))}.items()):
+    for name, own in sorted({unit_name(own): own for own in (entry.unit for entry in variables)}.items()):
         if not name:
             continue
         unit = SubElement(definitions, "Unit", {"name": name})
@@ -45,24 +43,21 @@ def unit_definitions(variables: Sequence[Variable]) -> Element:
 
 
 def complete(root: Element, variables: Sequence[Variable], references: Mapping[str, int]) -> Element:
-    """Complete a model description as a library makes it, of either version.
+    """Complete a model description as the library makes it.
 
     Args:
         root: changed. variables: all of them. references: name to the library's value reference.
     """
-    is_second = root.attrib["fmiVersion"].startswith("2")
     before = next(place for place, found in enumerate(root) if found.tag in ("LogCategories", "ModelVariables"))
     root.insert(before, unit_definitions(variables))
-    units = dict((_TIME, *((entry.name, unit_name(entry.unit)) for entry in variables)))
+    units = {entry.name: unit_name(entry.unit) for entry in variables}
     for found in root.iterfind("ModelVariables/*"):
-        holder = found[0] if is_second else found
         if unit := units[found.attrib["name"]]:
-            holder.set("unit", unit)
-    if is_second:
-        structure = root.find("ModelStructure")
-        assert structure is not None
-        unknowns = SubElement(structure, "InitialUnknowns")
-        for entry in variables:
-            if entry.causality == "output":
-                SubElement(unknowns, "Unknown", {"index": str(references[entry.name] + 1)})
+            found[0].set("unit", unit)
+    structure = root.find("ModelStructure")
+    assert structure is not None
+    unknowns = SubElement(structure, "InitialUnknowns")
+    for entry in variables:
+        if entry.causality == "output":
+            SubElement(unknowns, "Unknown", {"index": str(references[entry.name] + 1)})
     return root

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from valve_sim.signals.long_columns import blocks, extent, median_of, places_in
 from valve_sim.signals.resting_noise import RestingNoise, resting_noise, step_of
 from valve_sim.signals.spikes import FEWEST, LONGEST, find_spikes, reach
 
@@ -138,8 +137,7 @@ def find_left_out(times: Array, positions: Array, stroke: float) -> LeftOut:
         else:
             spikes[find_spikes(times, positions, step, clipped)] = True
         spikes &= ~clipped
-    # What says nothing takes no memory, of which a long recording needs much.
-    return LeftOut(*(mask if mask.any() else none for mask in (codes, repeated, spikes, clipped)))
+    return LeftOut(codes, repeated, spikes, clipped)
 
 
 def usual_travel(times: Array, positions: Array) -> float:
@@ -158,16 +156,16 @@ def usual_travel(times: Array, positions: Array) -> float:
         return float(np.ptp(positions)) if count else 0.0
     times, positions = np.asarray(times, dtype=np.float64), np.asarray(positions, dtype=np.float64)
     with np.errstate(all="ignore"):
-        middle = median_of(positions.copy())
+        middle = float(np.median(positions))
         apart = np.abs(positions - middle)
         few = int(FEW_CODES * count)
         usual = float(np.partition(apart, count - 1 - few)[count - 1 - few])
         tail = np.flatnonzero(apart > usual)
         tail = tail[np.argsort(apart[tail], kind="stable")]
         apart = apart[tail]
-        rest = extent(count, lambda own: np.where(np.abs(positions[own] - middle) > usual, middle, positions[own]))
-        low = np.minimum.accumulate(np.concatenate([rest[:1], positions[tail]]))
-        high = np.maximum.accumulate(np.concatenate([rest[1:], positions[tail]]))
+        rest = np.where(np.abs(positions - middle) > usual, middle, positions)
+        low = np.minimum.accumulate(np.concatenate([[rest.min()], positions[tail]]))
+        high = np.maximum.accumulate(np.concatenate([[rest.max()], positions[tail]]))
         travel = high - low
         for first in np.flatnonzero(apart > FARTHEST * travel[:-1]).tolist():
             is_far = np.zeros(count, dtype=bool)
@@ -206,16 +204,12 @@ def _are_codes(times: Array, positions: Array, is_far: Mask, travel: float) -> b
 
 def _beyond(positions: Array, farthest: float) -> Mask:
     """(n,) readings that are farther than this from the median one, m."""
-    middle, found = median_of(positions.copy()), np.empty(len(positions), dtype=bool)
-    for own in blocks(len(positions)):
-        found[own] = np.abs(positions[own] - middle) > farthest
-    return found
+    return np.asarray(np.abs(positions - np.median(positions)) > farthest)
 
 
 def _equal_rows(positions: Array) -> _Rows:
     """The rows of at least `FEWEST_REPEATED` equal readings."""
-    # Where each reading differs from the next, as of a fine sensor, this takes no memory.
-    equal = places_in(len(positions) - 1, lambda own: positions[own.start + 1 : own.stop + 1] == positions[own])
+    equal = np.flatnonzero(positions[1:] == positions[:-1])
     edges = np.concatenate([[0], np.flatnonzero(np.diff(equal) > 1) + 1, [len(equal)]]).astype(np.intp)
     lengths = np.diff(edges) + 1
     is_long = lengths >= FEWEST_REPEATED
@@ -273,7 +267,7 @@ def _repeated(times: Array, positions: Array, others: Mask, rows: _Rows, step: f
     if not len(start):
         return np.zeros(len(positions), dtype=bool)
     noise = resting_noise(positions[~others], step)
-    moves = len(places_in(len(positions) - 1, lambda own: _changes(positions, own) > noise.seen))
+    moves = int(np.count_nonzero(np.abs(np.diff(positions)) > noise.seen))
     is_fault = _but_no_habit(_are_passed_in_motion(times, positions, start, length, noise), moves)
     is_left = _are_left_at_once(times, positions, start, length, noise)
     is_dropout = _are_dropouts(positions, start, length, is_left)
@@ -296,11 +290,6 @@ def _repeated(times: Array, positions: Array, others: Mask, rows: _Rows, step: f
 def _but_no_habit(is_fault: Mask, moves: int) -> Mask:
     """(r,) rows that are faults; none where many moves follow one, as of a sensor slower than its recorder."""
     return is_fault & (np.count_nonzero(is_fault) <= HABIT * moves)
-
-
-def _changes(positions: Array, own: slice) -> Array:
-    """Distance of each of these readings from the next one, m."""
-    return np.asarray(np.abs(np.diff(positions[own.start : own.stop + 1])))
 
 
 def _covered(count: int, start: Places, length: Places) -> Mask:

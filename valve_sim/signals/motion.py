@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from valve_sim.signals.long_columns import blocks, extent, filled, median_of
 from valve_sim.signals.resting_noise import MAD_TO_SIGMA
 
 if TYPE_CHECKING:
@@ -29,18 +27,14 @@ def sample_noise(position: Array) -> float:
     """Return the standard deviation of white noise on a position, m, from second differences (robust to motion)."""
     if len(position) < 4:
         return 0.0
-    bends = filled(len(position) - 2, lambda own: np.abs(np.diff(position[own.start : own.stop + 2], 2)))
-    return float(MAD_TO_SIGMA * median_of(bends) / np.sqrt(6.0))
+    return float(MAD_TO_SIGMA * np.median(np.abs(np.diff(position, 2))) / np.sqrt(6.0))
 
 
 def smallest_change(position: Array) -> float:
     """Return the smallest change between samples, m: the step of a coarse sensor, next to 0 for a fine one."""
-    smallest = math.inf
-    for own in blocks(len(position) - 1):
-        changes = np.abs(np.diff(position[own.start : own.stop + 1]))
-        # Values on a grid come back with rounding errors of 1e-19 m, which are no steps.
-        smallest = min(smallest, float(changes[changes > 1e-12].min(initial=math.inf)))
-    return smallest if math.isfinite(smallest) else 0.0
+    changes = np.abs(np.diff(position))
+    changes = changes[changes > 1e-12]  # values on a grid come back with rounding errors of 1e-19 m, which are no steps
+    return float(changes.min()) if len(changes) else 0.0
 
 
 def motion_threshold(position: Array) -> float:
@@ -67,6 +61,5 @@ def largest_travel(position: Array) -> float:
 
 def travel_ends(position: Array) -> tuple[float, float]:
     """Return the closed and the open end of a trace's motion, m."""
-    if len(position) < 3:
-        return float(position.min()), float(position.max())
-    return extent(len(position) - 2, lambda own: medians_of_three(position[own.start : own.stop + 2]))
+    middle = medians_of_three(position)
+    return float(middle.min()), float(middle.max())

@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from valve_sim.signals.long_columns import filled
-
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -81,6 +79,12 @@ class RestingNoise(NamedTuple):
         return 1.0 + math.log(BY_CHANCE / count) / math.log(self.likeliest)
 
 
+def repeated_levels(values: Array) -> Array:
+    """Return the different values, ascending, rounded to 12 digits behind the point; none where few values repeat."""
+    levels = np.unique(np.round(values, 12))
+    return levels if len(levels) <= 0.5 * len(values) else np.empty(0)
+
+
 def step_of(positions: Array) -> float:
     """Return the step by which positions, shape (n,), are rounded, m; 0 for none."""
     some = positions[:: max(1, len(positions) // ENOUGH)]
@@ -109,8 +113,8 @@ def resting_noise(positions: Array, step: float) -> RestingNoise:
         return RestingNoise(0.0, step)
 
     def quietest(order: int) -> float:
-        found = filled(places * PLACE, lambda own: np.abs(np.diff(positions[own.start : own.stop + order], order)))
-        return float(np.quantile(np.median(found.reshape(places, PLACE), axis=1, overwrite_input=True), QUIETEST))
+        found = np.abs(np.diff(positions, order))[: places * PLACE].reshape(places, PLACE)
+        return float(np.quantile(np.median(found, axis=1), QUIETEST))
 
     changes, sigma = quietest(1) / math.sqrt(2.0), quietest(2) / math.sqrt(6.0)
     return RestingNoise(MAD_TO_SIGMA * sigma if max(changes / MOVES, LEAST) <= sigma else 0.0, step)

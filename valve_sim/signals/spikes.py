@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from valve_sim.signals.long_columns import blocks, extent, median_of, places_in
 from valve_sim.signals.resting_noise import ENOUGH, MAD_TO_SIGMA, SMALLEST, resting_noise
 
 if TYPE_CHECKING:
@@ -61,7 +60,7 @@ FASTER: Final = 2.0
 LOOKED_AT: Final = 1000
 """Places, spread over a recording, at which the usual scatter about parabolas is seen."""
 AT_ONCE: Final = 4096
-"""Readings, or crowds of them, that are worked out together, so that a long recording takes little memory."""
+"""Crowds of readings that are worked out together: each takes a kilobyte."""
 SHORTEST: Final = 1e-12
 """s that neighbours are apart at least, where their stamps are equal."""
 DEPENDENT: Final = 1e-12
@@ -115,7 +114,8 @@ def find_spikes(times: Array, positions: Array, step: float, clipped: Mask) -> P
     is_short = last - first < LONGEST_CROWD
     first, last = first[is_short], last[is_short]
     found = _come_and_go(times, positions, usual)
-    for own in blocks(len(first), AT_ONCE):
+    for start in range(0, len(first), AT_ONCE):
+        own = slice(start, start + AT_ONCE)
         for sides in ((SIDE, SIDE), (LONG_SIDE, SHORT_SIDE), (SHORT_SIDE, LONG_SIDE)):
             seen = _parabolas(times, positions, usual.places, (first[own], last[own]), sides)
             is_spike = _are_off(times, seen, usual, is_beside_contact=sides[0] != sides[1])
@@ -135,23 +135,15 @@ def _suspects(positions: Array, step: float) -> Mask:
 
     A median of neighbours would see nothing where a plunger moves by more in an interval than a spike is high.
     """
-    wide = 2 * LONGEST
-
-    def off(own: slice) -> Array:
-        outside = max(0, wide - own.start), max(0, own.stop + wide - len(positions))
-        around = np.pad(positions[max(0, own.start - wide) : own.stop + wide], outside, mode="reflect")
-
-        def at(shift: int) -> Array:
-            return around[wide + shift : wide + shift + own.stop - own.start]
-
-        both = {shift: at(-shift) + at(shift) for shift in (1, 2, 3, 4, 5, 6, 8, 10)}
-        said = [(4.0 * both[shift] - both[2 * shift]) / 6.0 for shift in range(1, LONGEST + 1)]
-        return np.asarray(np.abs(at(0) - _median_of_five(*said)))
-
-    apart = np.empty(len(positions))
-    for own in blocks(len(positions), AT_ONCE):
-        apart[own] = off(own)
-    usual = median_of(apart[:: max(1, len(apart) // ENOUGH)].copy())
+    wide, count = 2 * LONGEST, len(positions)
+    around = np.pad(positions, wide, mode="reflect")
+    both = {
+        shift: around[wide - shift : wide - shift + count] + around[wide + shift : wide + shift + count]
+        for shift in (1, 2, 3, 4, 5, 6, 8, 10)
+    }
+    said = [(4.0 * both[shift] - both[2 * shift]) / 6.0 for shift in range(1, LONGEST + 1)]
+    apart = np.abs(positions - _median_of_five(*said))
+    usual = float(np.median(apart[:: max(1, count // ENOUGH)]))
     return np.asarray(apart > max(SUSPECT * MAD_TO_SIGMA * usual, SPIKE * SMALLEST, LONGEST * COARSE * step))
 
 
@@ -188,20 +180,12 @@ def _come_and_go(times: Array, positions: Array, usual: _Usual) -> Mask:
     These need no neighbours that agree, and so are found beside a contact, too.
     """
     count, noise = len(positions), math.sqrt(2.0) * SPIKE * usual.sigma
-
-    def going_on(own: slice) -> Array:
-        # A motion goes on: what a spike adds to a jump it takes from the next one.
-        speeds = np.diff(positions[own.start : own.stop + 2]) / np.diff(times[own.start : own.stop + 2])
-        least = np.minimum(np.abs(speeds[1:]), np.abs(speeds[:-1]))
-        return np.asarray(np.where(speeds[1:] * speeds[:-1] > 0.0, least, 0.0))
-
-    fastest = FASTER * extent(count - 2, going_on)[1]
-
-    def is_faster(own: slice) -> Mask:
-        near = slice(own.start, own.stop + 1)
-        return np.asarray(np.abs(np.diff(positions[near])) > fastest * np.diff(times[near]) + noise)
-
-    at = places_in(count - 1, is_faster)
+    intervals, changes = np.diff(times), np.diff(positions)
+    speeds = changes / intervals
+    # A motion goes on: what a spike adds to a jump it takes from the next one.
+    goes_on = speeds[1:] * speeds[:-1] > 0.0
+    fastest = FASTER * float(np.max(np.minimum(np.abs(speeds[1:]), np.abs(speeds[:-1]))[goes_on], initial=0.0))
+    at = np.flatnonzero(np.abs(changes) > fastest * intervals + noise)
     begin, end = at[:-1] + 1, at[1:]
     into, out = positions[begin] - positions[begin - 1], positions[end + 1] - positions[end]
     height = 0.25 * reach(times[end + 1] - times[begin - 1]) + np.abs(positions[end + 1] - positions[begin - 1])

@@ -27,7 +27,7 @@ class StationEar:
         valves, monitors: full names of their nodes, in one order.
         tell: is handed each report.
         is_live: whether to hear phase, is_open, current and pressure of the valves, too.
-        alarms: the topic on which an opcua_node says what people did to alarms; empty: not heard.
+        alarms: the topic on which an opcua_node says who has acknowledged an alarm; empty: not heard.
     """
 
     def __init__(
@@ -85,9 +85,7 @@ class StationEar:
             if any(said.get("valve") == valve for valve, _ in self._pairs):
                 values: Values = {"Answer.Level": status.level[0], "Answer.Message": status.message}
                 values |= {"Answer.User": said.get("user", ""), "Answer.Comment": said.get("comment", "")}
-                self._tell(
-                    Report(said["valve"], utc(stamp), {**values, "Answer.IsShelved": said.get("shelved") == "true"})
-                )
+                self._tell(Report(said["valve"], utc(stamp), values))
 
     def _diagnose(self, message: DiagnosticArray, arrival: Arrival) -> None:
         stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec

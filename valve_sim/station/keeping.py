@@ -13,7 +13,7 @@ from valve_sim.station.figures import FIGURES, Report, Values
 SERVICE: Final = "service"
 """The class of a row of alarms that says that a person has serviced the valve."""
 ANSWER: Final = "answer"
-"""The class of one that says that a person has acknowledged, confirmed, commented or shelved an alarm."""
+"""The class of one that says that a person has acknowledged an alarm."""
 _CLASSES: Final = {"Health": "health", "Driver": "driver"}
 """Class of alarms by the group of figures that has their level: of the valve, and of its own node."""
 
@@ -49,7 +49,6 @@ class Keeper:
 
         if "Answer.Message" in values:
             told = {"user": values["Answer.User"], "comment": values["Answer.Comment"]}
-            told["is_shelved"] = values["Answer.IsShelved"]
             level, message = values["Answer.Level"], values["Answer.Message"]
             self._add(report.valve, report.time, level, ANSWER, message, now, **told)
 

@@ -72,20 +72,15 @@ class OpcUaNode(RosNode[OpcUaSettings]):
         folder = Path(settings.folder).expanduser()
         self._node.get_logger().info(
             f"ready: {server.endpoint}, {len(served)} valves; clients connect whose certificates are in "
-            f"{folder / 'trusted'}; those of others are kept in {folder / 'rejected'}"
+            f"{folder / 'trusted'}"
         )
 
     # --- in the server's thread ---
 
-    def _tell(self, valve: str, words: str, alarm: Alarm) -> None:
-        """Publish what a person did to an alarm, for whoever keeps it."""
-        values = {
-            "valve": valve,
-            "user": alarm.user,
-            "comment": alarm.comment,
-            "shelved": str(alarm.is_shelved).lower(),
-        }
-        status = Status(valve.lstrip("/"), Level(alarm.level), words, values)
+    def _tell(self, valve: str, alarm: Alarm) -> None:
+        """Publish that a person has acknowledged an alarm, for a node that archives it."""
+        values = {"valve": valve, "user": alarm.user, "comment": alarm.comment}
+        status = Status(valve.lstrip("/"), Level(alarm.level), f"acknowledged by {alarm.user}", values)
         if self._node.context.ok():
             self._alarms.publish(self._diagnostics([status], round(alarm.time * NANOSECONDS)))
 

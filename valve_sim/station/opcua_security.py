@@ -1,27 +1,27 @@
 """Who may connect to the OPC UA server: its own certificate, those that are trusted, and what anonymous clients may do.
 
 <folder>/own/certificate.der, own/key.pem   made at the first start
-<folder>/trusted/*.der                      clients that may read, acknowledge and call methods
-<folder>/rejected/*.der                     clients that were refused, to be moved to trusted/ by a person
+<folder>/trusted/*.der, *.pem               of clients, or of authorities that issue theirs
 """
 
 from __future__ import annotations
 
-import asyncio
 import datetime
 import logging
 import socket
 from contextvars import ContextVar
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from asyncua import ua
 from asyncua.common.utils import ServiceError
 from asyncua.crypto import cert_gen
-from asyncua.crypto.permission_rules import USER_TYPES, SimpleRoleRuleset, User, UserRole
-from asyncua.server import monitored_item_service
+from asyncua.crypto.permission_rules import SimpleRoleRuleset, User, UserRole
+from asyncua.crypto.truststore import TrustStore
+from asyncua.crypto.validator import CertificateValidator, CertificateValidatorOptions
 from asyncua.server.internal_server import InternalServer
 from asyncua.server.internal_session import InternalSession
+from asyncua.server.user_managers import UserManager
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.serialization import Encoding
@@ -31,19 +31,20 @@ from valve_sim.files.whole_files import atomic_write
 from valve_sim.model.errors import ValveError
 
 _VALID_DAYS: Final = 3650
-_MOST_REJECTED: Final = 100
-"""Certificates of refused clients that are kept; a flood of them must not fill the disk."""
+_SUFFIXES: Final = (".der", ".pem")
+_CHECKS: Final = (
+    CertificateValidatorOptions.TIME_RANGE
+    | CertificateValidatorOptions.URI
+    | CertificateValidatorOptions.TRUSTED
+    | CertificateValidatorOptions.PEER_CLIENT
+)
+_LOGGER: Final = logging.getLogger(__name__)
+# The trust store logs a traceback for each stranger; `Gate.validate` logs one line.
+logging.getLogger("asyncuagds.validate").setLevel(logging.CRITICAL)
 
 
-class Identity(NamedTuple):
-    """The server's own certificate and private key, as files."""
-
-    certificate: Path
-    key: Path
-
-
-def ensure_identity(folder: Path, application_uri: str) -> Identity:
-    """The server's certificate and key, made where there are none.
+def ensure_identity(folder: Path, application_uri: str) -> tuple[Path, Path]:
+    """The files of the server's certificate and private key, made where there are none.
 
     Args:
         folder: of the server's files. application_uri: what the certificate is issued to.
@@ -51,17 +52,10 @@ def ensure_identity(folder: Path, application_uri: str) -> Identity:
     Raises:
         ValveError: they cannot be read or written, or the certificate has expired.
     """
-    identity = Identity(folder / "own" / "certificate.der", folder / "own" / "key.pem")
-    for name in ("trusted", "rejected"):
-        try:
-            (folder / name).mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ValveError(
-                f"{folder / name}: cannot be made ({error.strerror}); choose another folder by the parameter folder"
-            ) from error
-    if identity.certificate.exists() and identity.key.exists():
-        _check(identity)
-        return identity
+    path, key_path = folder / "own" / "certificate.der", folder / "own" / "key.pem"
+    if path.exists() and key_path.exists():
+        _check(path, key_path)
+        return path, key_path
     key = cert_gen.generate_private_key()
     names: list[x509.GeneralName] = [
         x509.UniformResourceIdentifier(application_uri),
@@ -70,107 +64,119 @@ def ensure_identity(folder: Path, application_uri: str) -> Identity:
     certificate = cert_gen.generate_self_signed_app_certificate(
         key, "valve_sim OPC UA server", {}, names, extended=[ExtendedKeyUsageOID.SERVER_AUTH], days=_VALID_DAYS
     )
-    with atomic_write(identity.key) as partial:
+    with atomic_write(key_path) as partial:
         partial.touch(mode=0o600)
         partial.write_bytes(cert_gen.dump_private_key_as_pem(key))
-    with atomic_write(identity.certificate) as partial:
+    with atomic_write(path) as partial:
         partial.write_bytes(certificate.public_bytes(Encoding.DER))
-    return identity
+    return path, key_path
 
 
-def _check(identity: Identity) -> None:
-    mend = f"delete {identity.certificate} and {identity.key} to have new ones made, and have clients trust them anew"
+def _check(path: Path, key_path: Path) -> None:
+    mend = f"delete {path} and {key_path} to have new ones made, and have clients trust them anew"
     try:
-        certificate = x509.load_der_x509_certificate(identity.certificate.read_bytes())
-        with identity.key.open("rb"):
-            pass
+        certificate = x509.load_der_x509_certificate(path.read_bytes())
+        key_path.read_bytes()
     except OSError as error:
         raise ValveError(f"{error.filename}: cannot be read ({error.strerror}); {mend}") from error
     except ValueError as error:
-        raise ValveError(f"{identity.certificate}: is no certificate in DER ({error}); {mend}") from error
+        raise ValveError(f"{path}: is no certificate in DER ({error}); {mend}") from error
     if certificate.not_valid_after_utc < datetime.datetime.now(datetime.timezone.utc):
-        raise ValveError(f"{identity.certificate}: expired on {certificate.not_valid_after_utc:%Y-%m-%d}; {mend}")
+        raise ValveError(f"{path}: expired on {certificate.not_valid_after_utc:%Y-%m-%d}; {mend}")
 
 
-class Gate:
-    """Decides who may connect: a validator of certificates and a manager of users, as asyncua asks for them.
-
-    The folder of trusted certificates is looked at anew for each client, so that a person who moves a certificate there
-    need not restart the server.
+class Gate(UserManager):
+    """Decides who may connect: asyncua's trust store and validator, and the role of a client.
 
     Args:
         folder: of the server's files. allows_anonymous: whether clients without a certificate may read.
     """
 
     def __init__(self, folder: Path, *, allows_anonymous: bool) -> None:
-        self._trusted, self._rejected = folder / "trusted", folder / "rejected"
-        self._allows_anonymous = allows_anonymous
+        self._folder, self._allows_anonymous = folder / "trusted", allows_anonymous
+        self._store, self._changed_at = TrustStore([self._folder], []), 0
 
-    async def __call__(self, certificate: Any, description: Any) -> None:
+    async def load(self) -> None:
+        """Read the folder of trusted certificates; those of before stay where it cannot be read.
+
+        Raises:
+            ValveError: it cannot be read, or a file in it is no certificate.
+        """
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            self._changed_at = self._folder.stat().st_mtime_ns
+            store = TrustStore([self._folder], [])
+            if any(path.suffix.lower() in _SUFFIXES for path in self._folder.iterdir()):  # it refuses to hold none
+                await store.load()
+            self._store = store
+        except (OSError, ValueError) as error:
+            raise ValveError(
+                f"{self._folder}: cannot be used ({' '.join(str(error).split())}); it may hold certificates only, "
+                "NAME.der or NAME.pem"
+            ) from error
+
+    async def validate(self, certificate: x509.Certificate, description: ua.ApplicationDescription) -> None:
         """Refuse a client whose certificate is out of date, of another application, or not trusted.
 
         Raises:
             ServiceError: it is refused.
         """
-        code = await asyncio.to_thread(self._why_not, certificate, description.ApplicationUri)
-        if code is not None:
-            raise ServiceError(code)
+        try:
+            await self.load()
+        except ValveError as error:
+            _LOGGER.warning("%s; the certificates of before count", error)
+        try:
+            await CertificateValidator(_CHECKS, self._store).validate(certificate, description)
+        except ServiceError as error:
+            _LOGGER.warning(
+                "a client is refused: %s, SHA-256 %s: %s; to let it in, put its certificate into %s",
+                _name_of(certificate), certificate.fingerprint(hashes.SHA256()).hex(":"),
+                ua.StatusCode(error.code).name, self._folder,
+            )  # fmt: skip
+            raise
 
     def get_user(
         self, iserver: Any, username: str | None = None, password: str | None = None, certificate: Any = None
-    ) -> Any:
-        """The role of a client; None for one that may not connect."""
+    ) -> User | None:
+        """The role of a client; None for one that may not connect.
+
+        The certificate is that of the encrypted channel. A client can leave it out of its request for a session, and
+        `validate` is then not called: such a client is refused once the folder has changed.
+        """
         if not certificate:
             return User(UserRole.Anonymous, "anonymous") if self._allows_anonymous else None
         encoded = certificate if isinstance(certificate, bytes) else certificate.public_bytes(Encoding.DER)
-        if not self._is_trusted(encoded):
-            return None
         loaded = x509.load_der_x509_certificate(encoded)
-        names = loaded.subject.get_attributes_for_oid(x509.NameOID.COMMON_NAME)
-        return User(UserRole.User, str(names[0].value) if names else loaded.subject.rfc4514_string())
-
-    def _why_not(self, certificate: Any, application_uri: str) -> Any:
-        encoded = certificate.public_bytes(Encoding.DER)
-        if not self._is_trusted(encoded):
-            self._keep(certificate.fingerprint(hashes.SHA256()).hex(), encoded)
-            return ua.StatusCodes.BadCertificateUntrusted
-        now = datetime.datetime.now(datetime.timezone.utc)
-        if not certificate.not_valid_before_utc <= now <= certificate.not_valid_after_utc:
-            return ua.StatusCodes.BadCertificateTimeInvalid
-        try:
-            named = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
-        except x509.ExtensionNotFound:
-            return ua.StatusCodes.BadCertificateInvalid
-        if application_uri not in named.get_values_for_type(x509.UniformResourceIdentifier):
-            return ua.StatusCodes.BadCertificateUriInvalid
-        return None
-
-    def _is_trusted(self, encoded: bytes) -> bool:
-        for path in self._trusted.iterdir():
-            try:
-                content = path.read_bytes()
-            except OSError:
-                continue
-            if content == encoded:
-                return True
-            if content.startswith(b"-----BEGIN"):
-                try:
-                    if x509.load_pem_x509_certificate(content).public_bytes(Encoding.DER) == encoded:
-                        return True
-                except ValueError:
-                    continue
-        return False
-
-    def _keep(self, fingerprint: str, encoded: bytes) -> None:
-        if sum(1 for _ in self._rejected.iterdir()) < _MOST_REJECTED:
-            with atomic_write(self._rejected / f"{fingerprint}.der") as partial:
-                partial.write_bytes(encoded)
+        is_trusted = self._store.validate(loaded) and self._folder.stat().st_mtime_ns == self._changed_at
+        return User(UserRole.User, _name_of(loaded)) if is_trusted else None
 
 
-# With a logger for the module, Python does not note the loggers of its subscriptions elsewhere: see `NamedSession`.
-_LOGGER_OF_SUBSCRIPTIONS: Final = logging.getLogger(monitored_item_service.__name__)
+def _name_of(certificate: x509.Certificate) -> str:
+    names = certificate.subject.get_attributes_for_oid(x509.NameOID.COMMON_NAME)
+    return str(names[0].value) if names else certificate.subject.rfc4514_string()
+
+
+class Rules(SimpleRoleRuleset):
+    """asyncua's rules, by which clients with a trusted certificate may not change the address space.
+
+    Anonymous clients may ask for what changes nothing.
+    """
+
+    _CHANGING = frozenset(
+        ua.NodeId(kind)
+        for kind in (ua.ObjectIds.WriteRequest_Encoding_DefaultBinary, ua.ObjectIds.CallRequest_Encoding_DefaultBinary)
+    )
+
+    def check_validity(self, user: Any, action_type_id: Any, body: Any) -> bool:
+        """Whether a user may ask for something."""
+        if user.role is UserRole.Anonymous:
+            user = User(UserRole.User)
+            if action_type_id in self._CHANGING:
+                return False
+        return bool(super().check_validity(user, action_type_id, body))
+
+
 _CALLER: Final[ContextVar[str]] = ContextVar("caller", default="")
-"""Name of the client whose method call is being answered."""
 
 
 def caller() -> str:
@@ -178,23 +184,14 @@ def caller() -> str:
     return _CALLER.get()
 
 
-class NamedSession(InternalSession):
-    """A session of a client, of which a method can ask who calls it."""
-
+class _NamedSession(InternalSession):
     async def call(self, params: Any) -> Any:
-        """Answer method calls."""
+        """Answer method calls; asyncua does not tell a method who calls."""
         token = _CALLER.set(getattr(self.user, "name", None) or "")
         try:
             return await super().call(params)
         finally:
             _CALLER.reset(token)
-
-    async def delete_subscriptions(self, ids: Any) -> Any:
-        """End subscriptions, and forget the logger that asyncua makes for each: Python keeps loggers for ever."""
-        ended = await super().delete_subscriptions(ids)
-        for number in ids:
-            logging.Logger.manager.loggerDict.pop(f"{_LOGGER_OF_SUBSCRIPTIONS.name}.{number}", None)
-        return ended
 
 
 class NamingServer(InternalServer):
@@ -202,22 +199,6 @@ class NamingServer(InternalServer):
 
     def create_session(self, name: str, user: Any = None, external: bool = False) -> Any:
         """A session of a client."""
-        return NamedSession(
+        return _NamedSession(
             self, self.aspace, self.subscription_service, name, user=user or User(UserRole.Anonymous), external=external
         )
-
-
-class Rules(SimpleRoleRuleset):
-    """What each role may ask for.
-
-    Clients with a trusted certificate may ask for all but changes of the address space, anonymous ones for all that
-    changes nothing.
-    """
-
-    def __init__(self) -> None:
-        super().__init__()
-        changing = {
-            ua.NodeId(ua.ObjectIds.WriteRequest_Encoding_DefaultBinary),
-            ua.NodeId(ua.ObjectIds.CallRequest_Encoding_DefaultBinary),
-        }
-        self._permission_dict[UserRole.Anonymous] = {ua.NodeId(found) for found in USER_TYPES} - changing

@@ -1,4 +1,4 @@
-"""An OPC UA server of valves: variables, alarms with acknowledge, confirm and shelving, history, methods. Knows no ROS.
+"""An OPC UA server of valves: variables with history, an alarm that can be acknowledged, methods. Knows no ROS.
 
     Objects / Station / <valve> / Health, Driver, Live, Stroke, Finding (the table of `figures`)
                                 / Alarm, Recommission, SelfTest, SerialNumber
@@ -12,21 +12,21 @@ import asyncio
 import contextlib
 import math
 import socket
+import sqlite3
 import uuid
 from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
-from datetime import datetime, timezone
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from asyncua import Server, ua, uamethod
 from asyncua.common.events import Event
+from asyncua.server.history_sql import HistorySQLite
 
 from valve_sim import __version__
-from valve_sim.files.whole_files import atomic_write
 from valve_sim.model.errors import ValveError
-from valve_sim.station.alarms import SEVERITIES, Alarm, Refusal, Shelving, load_alarms, save_alarms
+from valve_sim.station.alarms import SEVERITIES, Alarm, Refusal, load_alarms, save_alarms
 from valve_sim.station.figures import BY_PATH, FIGURES, Figure, Report, unit_id, unit_words, utc
-from valve_sim.station.opcua_history import History
 from valve_sim.station.opcua_security import Gate, NamingServer, Rules, caller, ensure_identity
 from valve_sim.station.tables import OpcUaSettings
 
@@ -35,39 +35,12 @@ NAMESPACE: Final = "urn:valve_sim:station"
 _UNITS: Final = "http://www.opcfoundation.org/UA/units/un/cefact"
 
 
-class _Method(NamedTuple):
-    """A method by which a person changes an alarm.
-
-    Attributes:
-        of_type: the node of this method in the alarm's type, which clients call, too. done: what has been done.
-    """
-
-    of_type: int
-    done: str
-
-
-_METHODS: Final = {
-    "Alarm.Acknowledge": _Method(9111, "acknowledged"),
-    "Alarm.Confirm": _Method(9113, "confirmed"),
-    "Alarm.AddComment": _Method(9029, "commented"),
-    "Alarm.ShelvingState.TimedShelve": _Method(2949, "shelved for a time"),
-    "Alarm.ShelvingState.OneShotShelve": _Method(2948, "shelved until it is inactive"),
-    "Alarm.ShelvingState.Unshelve": _Method(2947, "taken from the shelf"),
-}
-"""By the path from a valve."""
-_SHELVED: Final = {
-    Shelving.UNSHELVED: ("Unshelved", 2930),
-    Shelving.TIMED: ("TimedShelved", 2932),
-    Shelving.ONE_SHOT: ("OneShotShelved", 2933),
-}
-"""Name and node of each state of shelving."""
-_BETWEEN_LOOKS: Final = 1.0
-"""s from one look for alarms that were shelved for long enough to the next."""
+_ACKNOWLEDGE: Final = ua.ObjectIds.AcknowledgeableConditionType_Acknowledge
 
 Action = Callable[[str], Awaitable[tuple[bool, str]]]
 """What a method does, given the valve: whether it was done, and what to say."""
-Told = Callable[[str, str, Alarm], None]
-"""Told the valve, what has been done to its alarm, in words, and the alarm since then."""
+Told = Callable[[str, Alarm], None]
+"""Told the valve and its alarm, which a person has just acknowledged."""
 
 
 class ServedValve(NamedTuple):
@@ -88,13 +61,13 @@ class StationServer:
     Args:
         settings: how it is reached, and what it keeps. valves: that are served.
         recommission, self_test: what the methods of a valve do; default: they say that nobody does it.
-        told: called in the server's thread when a person has answered or shelved an alarm, or its shelving is over.
+        told: called in the server's thread when a person has acknowledged an alarm.
     """
 
     def __init__(
         self, settings: OpcUaSettings, valves: Sequence[ServedValve], *,
         recommission: Action | None = None, self_test: Action | None = None,
-        told: Told = lambda valve, words, alarm: None,
+        told: Told = lambda valve, alarm: None,
     ) -> None:  # fmt: skip
         self._told = told
         self._settings, self._valves, self._folder = settings, tuple(valves), Path(settings.folder).expanduser()
@@ -103,9 +76,8 @@ class StationServer:
         self._index = 0
         self._alarms: dict[str, Alarm] = {}
         self._server: Any = None
-        self._history: Any = None
+        self._history = _History(self._folder / "history.db")
         self._writing = asyncio.Lock()
-        self._watching: asyncio.Task[None] | None = None
 
     @property
     def endpoint(self) -> str:
@@ -120,77 +92,68 @@ class StationServer:
         """
         settings = self._settings
         uri = f"{NAMESPACE}:{socket.gethostname()}"
-        identity = await asyncio.to_thread(ensure_identity, self._folder, uri)
+        certificate, key = await asyncio.to_thread(ensure_identity, self._folder, uri)
         kept = await asyncio.to_thread(load_alarms, self._alarms_file)
         self._alarms = {valve.name: kept.get(valve.name, Alarm()) for valve in self._valves}
         gate = Gate(self._folder, allows_anonymous=settings.anonymous_read)
+        await gate.load()
+        self._history.prepare()
         self._server = server = Server(iserver=NamingServer(user_manager=gate))
         server.iserver.bind_condition_methods = SEVERITIES[0]  # of the events before and after a refresh
-        await server.init()
-        server.name, server.manufacturer_name = "valve_sim station", "valve_sim"
-        server.set_endpoint(f"opc.tcp://{settings.address}:{settings.port}/valve_sim/")
-        await server.set_application_uri(uri)
-        now = datetime.now(timezone.utc)
-        await server.set_build_info("urn:valve_sim", "valve_sim", server.name, __version__, "0", now)
-        policies = [ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt]
-        if settings.anonymous_read:
-            policies.append(ua.SecurityPolicyType.NoSecurity)
-        server.set_security_policy(policies, Rules())
-        server.set_identity_tokens([ua.AnonymousIdentityToken])
-        server.iserver.certificate_validator = gate
-        await server.load_certificate(identity.certificate)
-        await server.load_private_key(identity.key)
-        self._history = History(self._folder / "history.db", _FIELDS, settings.history_days)
         server.iserver.history_manager.set_storage(self._history)
+        await server.init()
         try:
-            await self._history.init()
+            server.name, server.manufacturer_name = "valve_sim station", "valve_sim"
+            server.set_endpoint(f"opc.tcp://{settings.address}:{settings.port}/valve_sim/")
+            await server.set_application_uri(uri)
+            now = datetime.now(timezone.utc)
+            await server.set_build_info("urn:valve_sim", "valve_sim", server.name, __version__, "0", now)
+            policies = [ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt]
+            if settings.anonymous_read:
+                policies.append(ua.SecurityPolicyType.NoSecurity)
+            server.set_security_policy(policies, Rules())
+            server.set_identity_tokens([ua.AnonymousIdentityToken])
+            server.set_certificate_validator(gate.validate)
+            await server.load_certificate(certificate)
+            await server.load_private_key(key)
             self._index = await server.register_namespace(NAMESPACE)
             await self._make_nodes()
-            await self._history.prune(now)
-            await self._write_model(self._folder / "valve_sim.NodeSet2.xml")
             await server.start()
         except OSError as error:
-            await self._end()
+            await self._history.stop()
             raise ValveError(
                 f"port {settings.port} of {settings.address}: cannot be listened on ({error.strerror or error}); "
                 "choose another by the parameter port"
             ) from error
         except BaseException:
-            await self._end()
+            await self._history.stop()
             raise
         for valve in self._valves:
             if self._alarms[valve.name].is_retained:
-                await self._tell(valve, self._alarms[valve.name], is_new=False)
-        self._watching = asyncio.create_task(self._watch_shelves())
+                await self._tell(valve, self._alarms[valve.name])
 
     async def stop(self) -> None:
         """Say goodbye to the clients and close all files."""
-        if self._watching is not None:
-            self._watching.cancel()
         async with self._writing:
             await self._server.stop()
 
     async def put(self, report: Report) -> None:
         """Show what was said of a valve, with the time of which it was said.
 
-        What is kept is on the disk first. A report on a valve that is not served changes nothing.
+        A value is in the history before a client sees it. A report on a valve that is not served changes nothing.
 
         Raises:
-            ValveError: the history cannot be written.
+            ValveError: the file of alarms cannot be written.
         """
         valve = next((valve for valve in self._valves if valve.name == report.valve), None)
         if valve is None:
             return
-        values = {
-            self._node_id(valve, path): _data_value(BY_PATH[path], value, report.time)
-            for path, value in report.values.items()
-        }
-        kept = {self._node_id(valve, path) for path in report.values if BY_PATH[path].is_kept}
         async with self._writing:
-            if kept:
-                await self._history.save_values({node: value for node, value in values.items() if node in kept})
-            for node, value in values.items():
-                await self._server.write_attribute_value(node, value)
+            for path, value in report.values.items():
+                node, shown = self._node_id(valve, path), _data_value(BY_PATH[path], value, report.time)
+                if BY_PATH[path].is_kept:
+                    await self._history.save_node_value(node, shown)
+                await self._server.write_attribute_value(node, shown)
             level = report.values.get("Health.Level")
             if isinstance(level, int):
                 message = str(report.values.get("Health.Message") or "")
@@ -209,8 +172,6 @@ class StationServer:
     async def _make_nodes(self) -> None:
         kind = await self._make_type()
         objects, server = self._server.nodes.objects, self._server.nodes.server
-        refresh = self._server.get_node(ua.ObjectIds.ConditionType_ConditionRefresh)
-        self._server.link_method(refresh, self._refresh())
         station = await objects.add_folder(ua.NodeId("Station", self._index), self._name("Station"))
         for valve in self._valves:
             node = await station.add_object(
@@ -218,6 +179,7 @@ class StationServer:
             )
             await server.add_reference(node, ua.ObjectIds.HasNotifier)
             await self._fill(valve, node)
+        self._history.index()
 
     async def _make_type(self) -> Any:
         """The type of all valves, so that a client's screens can be made for the type."""
@@ -266,8 +228,8 @@ class StationServer:
     async def _fill(self, valve: ServedValve, node: Any) -> None:
         """A valve's history, alarm and methods, and what was known last."""
         await (await node.get_child(self._name("SerialNumber"))).write_value(valve.serial_number)
-        await node.set_event_notifier([ua.EventNotifier.SubscribeToEvents, ua.EventNotifier.HistoryRead])
-        await self._history.add_source(node.nodeid)
+        await node.set_event_notifier([ua.EventNotifier.SubscribeToEvents])
+        period = timedelta(days=self._settings.history_days)
         access = {ua.AccessLevel.CurrentRead, ua.AccessLevel.HistoryRead}
         for figure in FIGURES:
             place = self._node_id(valve, figure.path)
@@ -275,13 +237,14 @@ class StationServer:
             if not figure.is_kept:
                 await self._server.write_attribute_value(place, _data_value(figure, None, datetime.now(timezone.utc)))
                 continue
-            await self._history.add_variable(place)
+            await self._history.new_historized_node(place, period)
             for attribute in (ua.AttributeIds.AccessLevel, ua.AttributeIds.UserAccessLevel):
                 bits = ua.Variant(ua.AccessLevel.to_bitfield(access), ua.VariantType.Byte)
                 await variable.write_attribute(attribute, ua.DataValue(bits))
             await variable.write_attribute(ua.AttributeIds.Historizing, ua.DataValue(True))
-            last = await self._history.last_value(place) or _data_value(figure, None, datetime.now(timezone.utc))
-            await self._server.write_attribute_value(place, last)
+            last, _ = await self._history.read_node_history(place, None, None, 1)
+            unknown = _data_value(figure, None, datetime.now(timezone.utc))
+            await self._server.write_attribute_value(place, last[0] if last else unknown)
         for name in self._actions:
             self._server.link_method(self._server.get_node(self._node_id(valve, name)), self._act(name))
         await self._make_alarm(valve, node)
@@ -292,49 +255,9 @@ class StationServer:
             instantiate_optional=False,
         )  # fmt: skip
         await node.add_reference(alarm, ua.ObjectIds.HasCondition)
-        state = await alarm.add_variable(
-            self._node_id(valve, "Alarm.ConfirmedState"), ua.QualifiedName("ConfirmedState", 0), _localized("")
-        )
-        await state.add_property(
-            self._node_id(valve, "Alarm.ConfirmedState.Id"), ua.QualifiedName("Id", 0), True, ua.VariantType.Boolean
-        )
-        arguments = [_argument("EventId", ua.ObjectIds.ByteString), _argument("Comment", ua.ObjectIds.LocalizedText)]
-        await alarm.add_method(
-            self._node_id(valve, "Alarm.Confirm"),
-            ua.QualifiedName("Confirm", 0),
-            self._answer("Alarm.Confirm"),
-            arguments,
-            [],
-        )
-        await alarm.add_object(
-            self._node_id(valve, "Alarm.ShelvingState"), ua.QualifiedName("ShelvingState", 0),
-            objecttype=ua.ObjectIds.ShelvedStateMachineType, instantiate_optional=False,
-        )  # fmt: skip
-        for path, method in _METHODS.items():
-            for place in (self._node_id(valve, path), ua.NodeId(method.of_type)):
-                self._server.link_method(self._server.get_node(place), self._answer(path))
+        for place in (self._node_id(valve, "Alarm.Acknowledge"), ua.NodeId(_ACKNOWLEDGE)):
+            self._server.link_method(self._server.get_node(place), self._acknowledge())
         await self._show(valve, self._alarms[valve.name])
-
-    async def _watch_shelves(self) -> None:
-        """Take alarms from the shelf when their time is over, as long as the server runs."""
-        while True:
-            await asyncio.sleep(_BETWEEN_LOOKS)
-            now = datetime.now(timezone.utc).timestamp()
-            for valve in self._valves:
-                async with self._writing:
-                    alarm = self._alarms[valve.name]
-                    if alarm.shelving is not Shelving.TIMED:
-                        continue
-                    if (found := alarm.expired(now, _new_event())) is None:
-                        await self._show(valve, alarm)  # how long it is still shelved
-                        continue
-                    with contextlib.suppress(ValveError):  # a full disk, say: tried again at the next look
-                        await self._change(valve, found)
-                        self._told(valve.name, "taken from the shelf: its time is over", found)
-
-    async def _write_model(self, path: Path) -> None:
-        with atomic_write(path) as partial:
-            await self._server.export_xml_by_ns(str(partial), [self._index])
 
     # --- methods ---
 
@@ -354,52 +277,28 @@ class StationServer:
 
         return act  # type: ignore[no-any-return]
 
-    def _answer(self, path: str) -> Callable[..., Coroutine[Any, Any, Any]]:
-        """What a client calls that changes an alarm; the change is kept before it is shown."""
-        owner, _, name = path.rpartition(".")
+    def _acknowledge(self) -> Callable[..., Coroutine[Any, Any, Any]]:
+        """What a client calls that has seen an alarm; the change is kept before it is shown."""
 
-        async def answer(parent: Any, *given: Any) -> Any:
-            valve = self._served_at(parent, owner)
+        async def acknowledge(parent: Any, seen: Any, comment: Any) -> Any:
+            valve = self._served_at(parent, "Alarm")
             if valve is None:
                 return ua.StatusCode(ua.StatusCodes.BadNodeIdInvalid)
+            event = (seen.Value or b"").decode("ascii", "replace")
+            words = (comment.Value.Text if comment.Value is not None else None) or ""
             async with self._writing:
                 now = datetime.now(timezone.utc).timestamp()
-                found = _changed(self._alarms[valve.name], name, given, now)
+                found = self._alarms[valve.name].acknowledge(event, words, caller(), now, _new_event())
                 if isinstance(found, Refusal):
                     return ua.StatusCode(getattr(ua.StatusCodes, found.value))
                 try:
                     await self._change(valve, found)
                 except ValveError:
                     return ua.StatusCode(ua.StatusCodes.BadResourceUnavailable)
-                self._told(valve.name, f"{_METHODS[path].done} by {found.user}", found)
+                self._told(valve.name, found)
             return []
 
-        return answer
-
-    def _refresh(self) -> Callable[..., Coroutine[Any, Any, Any]]:
-        """Sends a subscription every alarm that is retained, whether it listens to the server or to a valve.
-
-        asyncua's own sends what was last sent to the server's listeners alone.
-        """
-
-        @uamethod
-        async def refresh(parent: Any, subscription: int) -> Any:
-            service = self._server.iserver.subscription_service
-            if subscription not in service.subscriptions:
-                return ua.StatusCode(ua.StatusCodes.BadSubscriptionIdInvalid)
-            begin, end = (
-                service.standard_events[kind]
-                for kind in (ua.ObjectIds.RefreshStartEventType, ua.ObjectIds.RefreshEndEventType)
-            )
-            async with self._writing:
-                await begin.trigger(subscription_id=subscription)
-                for valve in self._valves:
-                    if self._alarms[valve.name].is_retained:
-                        await self._send(valve, self._alarms[valve.name], subscription)
-                await end.trigger(subscription_id=subscription)
-            return None
-
-        return refresh  # type: ignore[no-any-return]
+        return acknowledge
 
     # --- alarms ---
 
@@ -408,7 +307,7 @@ class StationServer:
         alarms = {**self._alarms, valve.name: alarm}
         await asyncio.to_thread(save_alarms, self._alarms_file, alarms)
         self._alarms = alarms
-        await self._tell(valve, alarm, is_new=True)
+        await self._tell(valve, alarm)
 
     async def _show(self, valve: ServedValve, alarm: Alarm) -> None:
         for path, variant in _fields(alarm).items():
@@ -416,21 +315,13 @@ class StationServer:
             if place in self._server.iserver.aspace:
                 await self._server.write_attribute_value(place, ua.DataValue(variant, SourceTimestamp=utc(alarm.time)))
 
-    async def _tell(self, valve: ServedValve, alarm: Alarm, *, is_new: bool) -> None:
+    async def _tell(self, valve: ServedValve, alarm: Alarm) -> None:
         """Show an alarm and send its event: to who subscribes to the valve, then to who subscribes to the server."""
         await self._show(valve, alarm)
-        event = self._event(valve, alarm)
-        if is_new:
-            await self._history.save_alarm(self._node_id(valve), event)
-        await self._send(valve, alarm, None)
-
-    async def _send(self, valve: ServedValve, alarm: Alarm, subscription: int | None) -> None:
-        """Send an alarm's event to one subscription, or to all."""
-        service = self._server.iserver.subscription_service
         for emitter in (self._node_id(valve), ua.NodeId(ua.ObjectIds.Server)):
             sent = self._event(valve, alarm)
             sent.emitting_node = emitter
-            await service.trigger_event(sent, subscription)
+            await self._server.iserver.subscription_service.trigger_event(sent)
 
     def _event(self, valve: ServedValve, alarm: Alarm) -> Any:
         event = Event(self._node_id(valve))
@@ -445,25 +336,45 @@ class StationServer:
             event.add_property(name, variant.Value, variant.VariantType)
         return event
 
-    async def _end(self) -> None:
-        """Close what was opened of a server that does not start."""
-        if self._history is not None and self._history._db is not None:
-            await self._history.stop()
 
+class _History(HistorySQLite):
+    """asyncua's history in an SQLite file, for nodes whose identifiers are text.
 
-def _changed(alarm: Alarm, name: str, given: Sequence[Any], now: float) -> Alarm | Refusal:
-    """An alarm after a client has called a method of this name, with variants; or why that does not count."""
-    user, event = caller(), _new_event()
-    if name == "Unshelve":
-        return alarm.unshelve(user, now, event)
-    if name == "OneShotShelve":
-        return alarm.shelve(None, user, now, event)
-    if name == "TimedShelve":
-        return alarm.shelve(1e-3 * given[0].Value, user, now, event)
-    seen, comment = given
-    words = comment.Value.Text if comment.Value is not None else None
-    answer = {"Acknowledge": alarm.acknowledge, "Confirm": alarm.confirm, "AddComment": alarm.commented}[name]
-    return answer((seen.Value or b"").decode("ascii", "replace"), words or "", user, now, event)
+    Args:
+        path: of the file, made where it is missing.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(str(path))
+        self._path = path
+
+    def prepare(self) -> None:
+        """Check the file, and have it written ahead: a value is then on the disk with one flush.
+
+        Raises:
+            ValveError: it cannot be opened, or is damaged.
+        """
+        try:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            with contextlib.closing(sqlite3.connect(self._path)) as file:
+                file.execute("PRAGMA journal_mode=WAL")
+                file.execute("SELECT name FROM sqlite_master LIMIT 1").fetchone()
+        except (OSError, sqlite3.Error) as error:
+            raise ValveError(
+                f"{self._path}: cannot be used as a history ({error}); move it away, or choose another folder"
+            ) from error
+
+    def index(self) -> None:
+        """Have old values found by their time: asyncua looks for them at each write."""
+        with contextlib.closing(sqlite3.connect(self._path)) as file:
+            tables = "SELECT name FROM sqlite_master WHERE sql LIKE 'CREATE TABLE%SourceTimestamp TIMESTAMP%'"
+            for (table,) in file.execute(tables).fetchall():
+                file.execute(f'CREATE INDEX IF NOT EXISTS "{table}|SourceTimestamp" ON "{table}" (SourceTimestamp)')
+            file.commit()
+
+    def _get_table_name(self, node_id: Any) -> str:
+        # asyncua's own has quotes around an identifier that is text, and is then refused by asyncua itself.
+        return f"{node_id.NamespaceIndex}_{node_id.Identifier}"
 
 
 def _fields(alarm: Alarm) -> Mapping[str, Any]:
@@ -484,31 +395,16 @@ def _fields(alarm: Alarm) -> Mapping[str, Any]:
         "Quality": ua.Variant(ua.StatusCode(ua.StatusCodes.Good), ua.VariantType.StatusCode),
         "Comment": ua.Variant(ua.LocalizedText(alarm.comment), texts),
         "ClientUserId": ua.Variant(alarm.user, ua.VariantType.String),
-        "SuppressedOrShelved": ua.Variant(alarm.is_shelved, flags),
-        "ShelvingState/CurrentState": ua.Variant(ua.LocalizedText(_SHELVED[alarm.shelving][0]), texts),
-        "ShelvingState/CurrentState/Id": ua.Variant(ua.NodeId(_SHELVED[alarm.shelving][1]), ua.VariantType.NodeId),
-        "ShelvingState/UnshelveTime": ua.Variant(_left(alarm), ua.VariantType.Double),
+        "SuppressedOrShelved": ua.Variant(False, flags),
     }
     for name, is_so, words in (
         ("EnabledState", True, ("Enabled", "Disabled")),
         ("ActiveState", alarm.active, ("Active", "Inactive")),
         ("AckedState", alarm.acknowledged, ("Acknowledged", "Unacknowledged")),
-        ("ConfirmedState", alarm.confirmed, ("Confirmed", "Unconfirmed")),
     ):
         fields[name] = ua.Variant(ua.LocalizedText(words[0] if is_so else words[1]), texts)
         fields[f"{name}/Id"] = ua.Variant(is_so, flags)
     return fields
-
-
-def _left(alarm: Alarm) -> float:
-    """Ms for which an alarm is still shelved, as OPC UA has it; the longest duration where that is not for a time."""
-    if alarm.shelving is Shelving.ONE_SHOT:
-        return float(2**53)
-    return max(0.0, 1e3 * (alarm.shelved_until - datetime.now(timezone.utc).timestamp())) if alarm.is_shelved else 0.0
-
-
-_FIELDS: Final = ("NodeId", "SourceNode", "SourceName", "ReceiveTime", *_fields(Alarm()))
-"""All fields of an alarm's event."""
 
 
 def _variant(figure: Figure, value: object) -> Any:
@@ -534,12 +430,8 @@ def _argument(name: str, kind: int) -> Any:
     return ua.Argument(Name=name, DataType=ua.NodeId(kind), ValueRank=ua.ValueRank.Scalar)
 
 
-def _localized(words: str) -> Any:
-    return ua.Variant(ua.LocalizedText(words), ua.VariantType.LocalizedText)
-
-
 def _text(words: str) -> Any:
-    return ua.DataValue(_localized(words))
+    return ua.DataValue(ua.Variant(ua.LocalizedText(words), ua.VariantType.LocalizedText))
 
 
 def _new_event() -> str:

@@ -2,12 +2,11 @@
 
 from valve_sim.files.channels import Signal
 from valve_sim.signals.left_out import LeftOut, find_left_out
-from valve_sim.traces.errors import TraceError
 from valve_sim.traces.events import SensorEvent, StrokeEvents, events_from_sensors
 from valve_sim.traces.reading import list_valves, read_trace
 from valve_sim.traces.strokes import StrokePart, command_strokes, find_stroke_parts, stroke_numbers, stroke_starts
 from valve_sim.traces.summary import Gap, Rate, TraceSummary, describe
-from valve_sim.traces.trace import DriveErrors, Trace
+from valve_sim.traces.trace import DriveErrors, Trace, TraceError
 from valve_sim.traces.trouble import another_valve, doubtful_units, left_out_finding, refuse_doubtful_units
 from valve_sim.traces.writing import CSV_COLUMNS, BagRecorder, write_bag, write_bags, write_csv
 

@@ -12,9 +12,7 @@ import numpy as np
 
 from valve_sim.files.channels import JUDGED, SIGNALS, Signal
 from valve_sim.model import Drive
-from valve_sim.signals.long_columns import places_in
-from valve_sim.traces.errors import TraceError
-from valve_sim.traces.trace import Trace
+from valve_sim.traces.trace import Trace, TraceError
 
 FEWEST: Final = 3
 """Samples of what a valve is judged by: fewer have no rate and no noise."""
@@ -86,18 +84,16 @@ def problem_of_column(column: object, count: int | None = None, *, is_finite: bo
         return f"found shape {column.shape}, expected ({'n' if count is None else count},)"
     if not np.issubdtype(column.dtype, np.floating):
         return f"found dtype {column.dtype}, expected float64"
-    bad = places_in(len(column) if is_finite else 0, lambda own: ~np.isfinite(column[own]))
-    if len(bad):
+    bad = np.flatnonzero(~np.isfinite(column))
+    if is_finite and len(bad):
         return f"found {column[bad[0]]} at index {bad[0]} ({len(bad)} in all), expected finite numbers"
     return ""
 
 
 def problem_of_order(times: np.ndarray, *, rises: bool) -> str:
     """What is wrong with the order of times, in words; empty where nothing is."""
-    late, early = times[1:], times[:-1]
-    back = places_in(
-        len(late), (lambda own: late[own] <= early[own]) if rises else (lambda own: late[own] < early[own])
-    )
+    steps = np.diff(times)
+    back = np.flatnonzero(steps <= 0.0 if rises else steps < 0.0)
     if not len(back):
         return ""
     order = "strictly ascending" if rises else "ascending"

@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from valve_sim.signals.long_columns import any_in, blocks, filled, median_of, places_in
-
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -64,7 +62,7 @@ def order_samples(stamps: Stamps, delays: Delays, values: Sequence[NDArray[np.fl
         topic: For the findings.
     """
     findings: list[str] = []
-    if (stamps[1:] > stamps[:-1]).all() and not any_in(len(delays) - 1, lambda own: _jumps_forward(delays, own)):
+    if (stamps[1:] > stamps[:-1]).all() and not _jumps_forward(delays).any():
         return Ordered(None, 0, ())
     index = np.arange(len(stamps))
     index, lead = _without_foreign(index, stamps, delays, topic, findings)
@@ -79,10 +77,9 @@ def order_samples(stamps: Stamps, delays: Delays, values: Sequence[NDArray[np.fl
     return Ordered(index[np.argsort(stamps[index], kind="stable")], lead + shift, tuple(findings))
 
 
-def _jumps_forward(delays: Delays, own: slice = slice(None)) -> NDArray[np.bool_]:
+def _jumps_forward(delays: Delays) -> NDArray[np.bool_]:
     """Return after which samples the stamps step forward more than bag time, and so the delay falls."""
-    jumps: NDArray[np.bool_] = delays[:-1][own] - delays[1:][own] > FORWARD_JUMP
-    return jumps
+    return np.asarray(delays[:-1] - delays[1:] > FORWARD_JUMP)
 
 
 def _is_late(stamps: Stamps) -> NDArray[np.bool_]:
@@ -214,26 +211,5 @@ def clock_offset(delays: Delays, topic: str) -> tuple[int, tuple[str, ...]]:
 
 def find_gaps(times: NDArray[np.float64]) -> NDArray[np.intp]:
     """Return after which samples an interval is more than `GAP_FACTOR` times the usual one."""
-    count = len(times) - 1
-    if count < 1:
-        return np.empty(0, dtype=np.intp)
-    usual = usual_interval(times)
-    return places_in(count, lambda own: intervals(times, own) > GAP_FACTOR * usual)
-
-
-def usual_interval(times: NDArray[np.float64]) -> float:
-    """Return the median of the intervals between (n,) times, n > 1."""
-    return median_of(filled(len(times) - 1, lambda own: intervals(times, own)))
-
-
-def intervals(times: NDArray[np.float64], own: slice) -> NDArray[np.float64]:
-    """Return those of the intervals between times that a slice has."""
-    return np.diff(times[own.start : own.stop + 1])
-
-
-def seconds_since(epoch: int, times: Stamps) -> NDArray[np.float64]:
-    """Return times, ns, as seconds since an epoch, ns, in the same memory, so that no more is needed: they are gone."""
-    found = times.view(np.float64)
-    for own in blocks(len(times)):
-        found[own] = (times[own] - epoch) / SECOND
-    return found
+    intervals = np.diff(times)
+    return np.flatnonzero(intervals > GAP_FACTOR * np.median(intervals)) if len(intervals) else np.empty(0, np.intp)

@@ -13,8 +13,8 @@ from valve_sim.files.data_tables import TABLE_SUFFIXES, DataTable, open_table
 from valve_sim.files.entries import Entries, short
 from valve_sim.files.recording_map import CLOCKS, Source, time_axis
 from valve_sim.traces.clocks import SECOND
-from valve_sim.traces.errors import TraceError
 from valve_sim.traces.storage import Recording, read_recording
+from valve_sim.traces.trace import TraceError
 
 Array = NDArray[np.float64]
 

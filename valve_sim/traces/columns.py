@@ -32,7 +32,7 @@ from valve_sim.files.yaml_files import read_yaml
 from valve_sim.model.core.own.grammar import Expr, ExpressionError, names_in, parse
 from valve_sim.model.core.own.units import Unit, parse_unit
 from valve_sim.traces.column_sources import source_of
-from valve_sim.traces.errors import TraceError
+from valve_sim.traces.trace import TraceError
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

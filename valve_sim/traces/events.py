@@ -126,16 +126,16 @@ def _by_position(trace: Trace, stroke: StrokePart, levels: _Levels) -> Iterator[
     seat, gap, stop, noise = levels
     first, second = gap - seat, stop - gap
     if first == 0.0:  # one plunger
-        closing, opening = ("reaches_seat", stop - position, second, 0.0), ("reaches_stop", position - gap, second, 0.0)
+        closing, opening = ("reaches_seat", stop - position, second), ("reaches_stop", position - gap, second)
         ways = [closing if stroke.kind == "closing" else opening]
     elif stroke.kind == "closing":
-        ways = [("main_seats", stop - position, second, first), ("reaches_seat", gap - position, first, 0.0)]
+        ways = [("main_seats", stop - position, second), ("reaches_seat", gap - position, first)]
     else:
-        ways = [("pilot_reaches_main", position - seat, first, second), ("reaches_stop", position - gap, second, 0.0)]
-    for kind, way, length, beyond in ways:
+        ways = [("pilot_reaches_main", position - seat, first), ("reaches_stop", position - gap, second)]
+    for kind, way, length in ways:
         if kind == "reaches_stop" and stroke.kind == "pulse":
             continue
-        contact = contact_time(times, way, length, noise, beyond) if min(length, second) > 0.0 else None
+        contact = contact_time(times, way, length, noise) if min(length, second) > 0.0 else None
         if contact is not None:
             yield SensorEvent(kind, contact.time, contact.time - stroke.start, contact.stderr, "position")
 
@@ -161,9 +161,10 @@ def _rest_levels(position: Array, pilot_gap: float) -> _Levels:
         change = MAD_TO_SIGMA * float(np.median(np.abs(changes)))
         correlation = min(max(1.0 - change**2 / (2.0 * sigma**2), 0.0), MOST_COLOURED)
         correlation = correlation if correlation > COLOURED else 0.0
-    fewest = min(np.count_nonzero(at_seat), np.count_nonzero(at_stop)) * (1.0 - correlation) / (1.0 + correlation)
-    error = float(np.hypot(sigma * np.sqrt(0.5 * np.pi / fewest), coarse))
-    return _Levels(seat, seat + pilot_gap, stop, PositionNoise(sigma, correlation, error))
+    together = float(sigma * np.sqrt((1.0 + correlation) / (1.0 - correlation)))
+    fewest = min(np.count_nonzero(at_seat), np.count_nonzero(at_stop))
+    error = float(np.hypot(together * np.sqrt(0.5 * np.pi / fewest), coarse))
+    return _Levels(seat, seat + pilot_gap, stop, PositionNoise(sigma, together, error))
 
 
 def _rest(position: Array, near: NDArray[np.bool_], white: float) -> tuple[float, NDArray[np.bool_]]:

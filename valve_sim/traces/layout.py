@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from valve_sim.files.channels import CHANNELS, COIL, COIL_STATE, FLOAT, JOINT_STATE, JUDGED, LIVE_COIL
 from valve_sim.files.recording_map import RecordingMap, Source
 from valve_sim.traces.command_times import logs_among
-from valve_sim.traces.errors import TraceError
+from valve_sim.traces.trace import TraceError
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping

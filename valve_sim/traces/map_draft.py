@@ -12,8 +12,8 @@ from valve_sim.files.channels import CHANNELS, SIGNALS, UNITS
 from valve_sim.files.data_tables import TABLE_SUFFIXES, DataTable, open_table
 from valve_sim.files.tables import TableError
 from valve_sim.signals.voltage_steps import count_levels
-from valve_sim.traces.errors import TraceError
 from valve_sim.traces.map_series import Series, bag_series, table_series
+from valve_sim.traces.trace import TraceError
 from valve_sim.traces.trouble import MOST_AMPERES
 
 if TYPE_CHECKING:

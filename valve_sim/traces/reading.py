@@ -11,11 +11,9 @@ import numpy as np
 from valve_sim.files.channels import CHANNELS, COIL_STATE, MAIN, PILOT, SIGNALS, Signal
 from valve_sim.files.recording_map import DeclaredSensor, Source
 from valve_sim.model.drives import Drive
-from valve_sim.signals.long_columns import any_in
 from valve_sim.signals.voltage_steps import NoStepError, find_steps
-from valve_sim.traces.clocks import SECOND, clock_offset, seconds_since
+from valve_sim.traces.clocks import SECOND, clock_offset
 from valve_sim.traces.command_times import Commands, commands_by_logs, dates_by_voltage
-from valve_sim.traces.errors import TraceError
 from valve_sim.traces.layout import (
     INPUTS,
     MEASURED,
@@ -29,7 +27,7 @@ from valve_sim.traces.layout import (
 from valve_sim.traces.samples import Readings, Samples, in_order, is_broken
 from valve_sim.traces.storage import read_recording
 from valve_sim.traces.table_reading import is_table, read_table_trace, standard_map
-from valve_sim.traces.trace import DriveErrors, Trace
+from valve_sim.traces.trace import DriveErrors, Trace, TraceError
 from valve_sim.traces.trouble import find_problems
 
 if TYPE_CHECKING:
@@ -108,7 +106,6 @@ class _Assembly:
     def trace(self) -> Trace:
         """Put the trace together."""
         samples, clock = self.samples() if self.plan.has_positions else self.in_their_place(self.plan.primary_signal)
-        self.forget_positions()
         samples, shift, findings = in_order(samples, f"{self.path}: topic {self.samples_topic}", self.samples_topic)
         self.findings += findings
         offset, findings = clock_offset(samples.delays + shift if shift else samples.delays, self.samples_topic)
@@ -116,8 +113,7 @@ class _Assembly:
         samples = self.with_main_from_elsewhere(samples, offset - shift)
         command_times, volts, errors = self.commands(offset - shift)
         epoch = int(min(command_times[0], samples.stamps[0]))
-        times, pilot, main = seconds_since(epoch, samples.stamps), samples.pilot, samples.main
-        del samples  # of a long recording all that is held twice is large
+        times, pilot, main = (samples.stamps - epoch) / SECOND, samples.pilot, samples.main
         signals = {name: found and found.beside(times) for name, found in self.signals(epoch, offset - shift).items()}
         outlet = signals["outlet_pressure"]
         # Of a node's output nothing has to be estimated; a sensor's first sample would be an error of the start.
@@ -131,7 +127,7 @@ class _Assembly:
             drive_errors=errors,
             times=times,
             pilot_position=pilot,
-            main_position=None if not len(main) or any_in(len(main), lambda own: np.isnan(main[own])) else main,
+            main_position=None if not len(main) or np.isnan(main).any() else main,
             epoch_ns=epoch,
             clock=clock,
             outlet_start=start,
@@ -140,13 +136,6 @@ class _Assembly:
         )
         trouble = find_problems(trace, self.samples_topic, self.input.topic)
         return replace(trace, findings=(*self.findings, *trouble))
-
-    def forget_positions(self) -> None:
-        """Free what only positions are read from: of a long recording it is larger than they are."""
-        others = [*self.plan.sources.items(), *self.plan.others.items()]
-        needed = {source.topic for quantity, source in others if quantity not in POSITIONS}
-        if self.samples_topic not in {*needed, *self.plan.logs}:
-            self.recording.topics.pop(self.samples_topic)
 
     def topic(self, source: Source) -> Topic:
         """Return the topic of a source, of which at least one message must be readable."""
@@ -208,7 +197,6 @@ class _Assembly:
             self.findings.append(f"{topic}: {broken.sum()} positions are none, such as {first:.3g} m")
             without = (np.where(of_one, np.nan, column) for of_one, column in zip(broken, samples[2:], strict=True))
             samples = Samples(pilot.stamps, delays, *without)
-        del broken
         finite = np.isfinite(samples.pilot)
         if not finite.any():
             raise TraceError(
@@ -413,4 +401,4 @@ class _Assembly:
             )
         if not finite.all():
             times, values = times[finite], values[finite]
-        return Signal(seconds_since(epoch, times), np.ascontiguousarray(values)) if len(times) else None
+        return Signal((times - epoch) / SECOND, np.ascontiguousarray(values)) if len(times) else None

@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from valve_sim.signals.long_columns import blocks, filled, median_of
 from valve_sim.traces.clocks import order_samples
-from valve_sim.traces.errors import TraceError
+from valve_sim.traces.trace import TraceError
 from valve_sim.traces.trouble import LARGEST_POSITION
 
 if TYPE_CHECKING:
@@ -38,9 +37,7 @@ class Samples(NamedTuple):
     main: NDArray[np.float64]
 
     def take(self, chosen: NDArray[np.intp] | NDArray[np.bool_]) -> Samples:
-        """Return some of the samples; of all of them no copy, which of a long recording would be large."""
-        if chosen.dtype == np.bool_ and chosen.all():
-            return self
+        """Return some of the samples."""
         return Samples(self.stamps[chosen], self.delays[chosen], self.pilot[chosen], self.main[chosen])
 
 
@@ -60,15 +57,15 @@ class Readings(NamedTuple):
     values: NDArray[np.float64]
 
     def times(self, late: int) -> NDArray[np.int64]:
-        """Return when each was taken by the stamps' clock, ns, shape (n,), in the memory of the stamps: they are gone.
+        """Return when each was taken by the stamps' clock, ns, shape (n,).
 
         Args:
             late: What to take from bag times to get that clock, ns.
         """
-        return np.subtract(self.stamps, late, out=self.stamps, where=~self.is_stamped)
+        return np.where(self.is_stamped, self.stamps, self.stamps - late)
 
     def without_repeated(self, late: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Return ascending times, ns, and values, the first of those of one time; the stamps are gone.
+        """Return ascending times, ns, and values, the first of those of one time.
 
         Args:
             late: As of `times`.
@@ -82,19 +79,9 @@ class Readings(NamedTuple):
 
 def is_broken(pilot: NDArray[np.float64], main: NDArray[np.float64]) -> NDArray[np.bool_]:
     """(n,) readings of either that no plunger can have, as broken messages hold; another unit than m is no break."""
-
-    def beyond(column: NDArray[np.float64], limit: float) -> NDArray[np.bool_]:
-        found = np.empty(len(column), dtype=bool)
-        for own in blocks(len(column)):
-            found[own] = np.isfinite(column[own]) & (np.abs(column[own]) > limit)
-        return found
-
-    broken = np.stack([beyond(column, BROKEN_READING) for column in (pilot, main)])
-    if broken.any():
-        sizes = filled(len(pilot), lambda own: np.abs(np.where(np.isfinite(pilot[own]), pilot[own], 0.0)))
-        if median_of(sizes) > LARGEST_POSITION:
-            return np.stack([beyond(column, BROKEN_READING * MICROMETRES) for column in (pilot, main)])
-    return broken
+    sizes = np.nan_to_num(np.abs(np.stack([pilot, main])), posinf=0.0)
+    is_metres = np.median(sizes[0]) <= LARGEST_POSITION
+    return np.asarray(sizes > BROKEN_READING * (1.0 if is_metres else MICROMETRES))
 
 
 def in_order(samples: Samples, where: str, topic: str) -> tuple[Samples, int, tuple[str, ...]]:

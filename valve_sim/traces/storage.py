@@ -5,20 +5,21 @@ from __future__ import annotations
 import os
 import re
 import tempfile
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
-from rosbags.interfaces import MessageDefinitionFormat
-from rosbags.rosbag2 import Reader
+import yaml
+import zstandard
 from rosbags.typesys import get_types_from_idl, get_types_from_msg
 
 from valve_sim.model.errors import ValveError
-from valve_sim.traces.cdr import full_type, typestore
-from valve_sim.traces.errors import TraceError
-from valve_sim.traces.indexed_mcap import IndexedMcap
-from valve_sim.traces.salvage import MCAP_MAGIC, SQLITE_MAGIC, ZSTD_MAGIC, Salvaged, salvage, unpack_zstd
+from valve_sim.traces.cdr import typestore
+from valve_sim.traces.clocks import SECOND
+from valve_sim.traces.mcap_files import MCAP_MAGIC, ZSTD_MAGIC, Contents, IndexedMcap, TooLargeError, read_records
+from valve_sim.traces.sqlite_files import SQLITE_MAGIC, read_database
 from valve_sim.traces.topics import Topic
+from valve_sim.traces.trace import TraceError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -29,7 +30,17 @@ if TYPE_CHECKING:
     """Topics to read, and the paths of the numbers to keep of each, as `Topic` has them."""
     Select = Callable[[Mapping[str, str]], Fields]
 
-STORAGE_SUFFIXES = (".mcap", ".db3")
+STORAGE_SUFFIXES: Final = (".mcap", ".db3")
+MAGIC: Final = {".mcap": MCAP_MAGIC, ".db3": SQLITE_MAGIC, ".zstd": ZSTD_MAGIC}
+LARGEST_METADATA: Final = 1 << 22
+"""Bytes of a metadata.yaml that are looked at."""
+MOST_EXPANDED: Final = 200
+"""Times its size that a packed file unpacks to at most, beside `SMALL` bytes: recordings are packed to a tenth."""
+SMALL: Final = 1 << 26
+LATE: Final = 1_000_000
+"""ns from publication to the log: some message takes less, or these are of two clocks. A longer way is said."""
+EARLY: Final = 100_000
+"""ns by which no message of one clock is logged before it is published."""
 
 
 class Recording(NamedTuple):
@@ -39,13 +50,11 @@ class Recording(NamedTuple):
         types: Every topic in the recording and its message type ("std_msgs/msg/Float64").
         topics: What the topics that were asked for hold; none of those without a message.
         findings: What was wrong with the files, and what was kept.
-        messages: How many the files hold, of topics that were asked for or not, as far as their indexes say it.
     """
 
     types: Mapping[str, str]
     topics: dict[str, Topic]
     findings: tuple[str, ...] = ()
-    messages: int = 0
 
     def topic(self, path: Path, name: str) -> Topic:
         """Return a topic of which at least one message can be read.
@@ -68,6 +77,14 @@ class Recording(NamedTuple):
         return topic
 
 
+class _Metadata(NamedTuple):
+    """What a folder says of its files: their names, how many messages they hold, and what is wrong with it."""
+
+    names: tuple[str, ...] = ()
+    messages: int = 0
+    trouble: str = ""
+
+
 def read_recording(path: Path, select: Select, most: int | None = None) -> Recording:
     """Read the messages of some topics.
 
@@ -80,14 +97,134 @@ def read_recording(path: Path, select: Select, most: int | None = None) -> Recor
         TraceError: Nothing can be read from it.
     """
     _refuse_what_is_no_recording(path)
-    if path.is_dir() and not (path / "metadata.yaml").exists():
-        return _read_damaged(path, select, most, "metadata.yaml is missing (the recorder writes it when it ends)")
+    metadata = _metadata_of(path) if path.is_dir() else _Metadata()
+    files, findings = _listed_files(path, metadata)
+    with _unpacked(path, files) as places:
+        try:
+            contents, types, topics = _read(places, select, most)
+        except TooLargeError as error:
+            raise TraceError(f"{path}: {error}") from None
+        except _NothingError as error:
+            why = metadata.trouble or "nothing of it is valid"
+            raise TraceError(
+                f"{path}: {error.words or f'no message could be saved ({why}); record it again'}"
+            ) from None
+    findings += _damage(path, metadata, contents)
+    ways = [found for topic in topics.values() if (found := topic.ways) is not None]
+    shortest, longest = min((way[0] for way in ways), default=0), max((way[1] for way in ways), default=0)
+    is_one_clock = -EARLY <= shortest <= LATE and longest < SECOND
+    for topic in topics.values():
+        topic.finish(by_publication=is_one_clock)
+    if is_one_clock and longest > LATE:
+        findings.append(
+            f"{path.name}: messages were logged up to {longest / 1e6:.2f} ms after they were published; those without "
+            "a stamp are timed by their publication"
+        )
+    return Recording(types, {name: topic for name, topic in topics.items() if topic.size}, tuple(findings))
+
+
+class _NothingError(Exception):
+    """Files hold nothing that can be read: why, and the mend; empty: nobody knows."""
+
+    def __init__(self, words: str = "") -> None:
+        super().__init__(words)
+        self.words = words
+
+
+_Found = tuple[list[Contents], dict[str, str], dict[str, Topic]]
+
+
+def _read(files: Sequence[Path], select: Select, most: int | None) -> _Found:
+    """Read MCAP files by their indexes; others, and where one has none or a damaged one, message by message."""
+    indexed = _indexed(files)
+    if indexed:
+        found = _topics([part.contents for part in indexed], select, most)
+        try:
+            for part in indexed:
+                part.read(found[2])
+        except (TooLargeError, ValveError):
+            raise
+        except Exception:  # the index does not fit the data
+            pass
+        else:
+            return found
+    readers = [read_records if file.suffix == ".mcap" else read_database for file in files]
+    found = _topics([read(file, {}) for read, file in zip(readers, files, strict=True)], select, most)
+    for read, file in zip(readers, files, strict=True):
+        if found[2]:
+            read(file, found[2])
+    return found
+
+
+def _indexed(files: Sequence[Path]) -> list[IndexedMcap]:
     try:
-        return _read_whole(path, select, most)
-    except ValveError:
-        raise
-    except Exception as error:  # a damaged bag makes the readers raise whatever they stumble over
-        return _read_damaged(path, select, most, _one_line(error))
+        return [IndexedMcap(file) for file in files] if all(file.suffix == ".mcap" for file in files) else []
+    except Exception:  # the library raises what it stumbles over
+        return []
+
+
+def _topics(contents: list[Contents], select: Select, most: int | None) -> _Found:
+    """Every topic's type, and what takes the messages of those that are to be read."""
+    types = {topic: message_type for part in contents for topic, message_type in part.types.items()}
+    encodings = sorted({encoding for part in contents for encoding in part.encodings})
+    if encodings and not types:
+        raise _NothingError(f"messages are encoded as {', '.join(encodings)}, cdr is needed; record it with ros2 bag")
+    if not any(part.count for part in contents) and not all(part.complete for part in contents):
+        raise _NothingError
+    topics = {
+        name: Topic(types[name], _definitions_of(contents, types[name]), keep, most)
+        for name, keep in select(types).items()
+        if name in types
+    }
+    return contents, types, topics
+
+
+def _definitions_of(contents: Sequence[Contents], message_type: str) -> Definitions | None:
+    """Definitions of a message type and of those in it: the usual ones, or those that one of the files holds.
+
+    None: nobody knows. The definitions are parsed, never run.
+    """
+    usual: Definitions = typestore().fielddefs
+    if message_type in usual:
+        return usual
+    for part in contents:
+        form, text = part.definitions.get(message_type, ("", ""))
+        try:
+            found = _types_from_idl(text) if form == "ros2idl" else get_types_from_msg(text, message_type)
+        except Exception:  # of a definition that is none, the library raises what it stumbles over
+            continue
+        if text and found:
+            return {**usual, **found}
+    return None
+
+
+def _types_from_idl(text: str) -> Definitions:
+    """Several files behind each other, as rosbag2 stores them; what they include is among them."""
+    found: Definitions = {}
+    for own in re.split(r"^=+\nIDL: .*\n", text, flags=re.MULTILINE):
+        plain = re.sub(r"^\s*#include.*$", "", own, flags=re.MULTILINE)
+        if plain.strip():
+            found = {**found, **get_types_from_idl(plain)}
+    return found
+
+
+def _damage(path: Path, metadata: _Metadata, contents: Sequence[Contents]) -> list[str]:
+    """What is wrong with the files, and what was kept, in a line; none where nothing is."""
+    count, chunks = sum(part.count for part in contents), sum(part.damaged_chunks for part in contents)
+    complete = all(part.complete for part in contents)
+    declared = max(metadata.messages, count)
+    if complete and not metadata.trouble and not chunks and declared == count:
+        return []
+    why = (
+        metadata.trouble or ("a chunk is" if chunks else "its end is" if not complete else "messages are") + " missing"
+    )
+    of_all = f" of {declared}" if declared > count else ""
+    lost = "the data reach their end" if complete else "what followed is lost"
+    damaged = f", {chunks} damaged {'chunk' if chunks == 1 else 'chunks'}" if chunks else ""
+    return [f"{path.name}: damaged or unfinished ({why}); kept {count}{of_all} messages, {lost}{damaged}"]
+
+
+# --- files ---
 
 
 def _refuse_what_is_no_recording(path: Path) -> None:
@@ -104,6 +241,12 @@ def _refuse_what_is_no_recording(path: Path) -> None:
         if not _storage_files(path):
             raise TraceError(f"{path}: the folder holds no .mcap or .db3 file; give a rosbag2 folder or a .mcap file")
         return
+    if path.suffix not in MAGIC:
+        raise TraceError(
+            f"{path}: is not a recording; give a rosbag2 folder, a .mcap file, or a table (.csv, .parquet, .mat)"
+        )
+    if not path.is_file():
+        raise TraceError(f"{path}: is a device or a pipe, not a file; give a rosbag2 folder or a .mcap file")
     try:
         with path.open("rb") as stream:
             head = stream.read(16)
@@ -111,11 +254,7 @@ def _refuse_what_is_no_recording(path: Path) -> None:
         raise TraceError(f"{path}: cannot be read ({error.strerror}); check the permissions") from error
     if not head:
         raise TraceError(f"{path}: is empty (0 bytes), nothing was recorded; record it again")
-    if _magic_of(path) is None:
-        raise TraceError(
-            f"{path}: is not a recording; give a rosbag2 folder, a .mcap file, or a table (.csv, .parquet, .mat)"
-        )
-    if not head.startswith((_magic_of(path) or b"", ZSTD_MAGIC)):
+    if not head.startswith((MAGIC[path.suffix], ZSTD_MAGIC)):
         raise TraceError(
             f"{path}: is not a {path.suffix} file, it starts with {head[:8]!r}; give a rosbag2 folder or a .mcap file"
         )
@@ -139,91 +278,6 @@ def _holds_storage(folder: Path) -> bool:
         return False
 
 
-def _magic_of(path: Path) -> bytes | None:
-    return {".mcap": MCAP_MAGIC, ".db3": SQLITE_MAGIC, ".zstd": ZSTD_MAGIC}.get(path.suffix)
-
-
-def _one_line(error: BaseException) -> str:
-    text = " ".join(str(error).split()) or type(error).__name__
-    return text.rstrip(".")[:200]
-
-
-def _read_whole(path: Path, select: Select, most: int | None) -> Recording:
-    files = [path]
-    if path.is_dir():
-        with Reader(path) as reader:  # which refuses metadata that do not fit the files
-            if not reader.compression_mode and all(file.suffix == ".mcap" for file in _storage_files(path)):
-                files = _storage_files(path)
-    if all(file.suffix == ".mcap" and file.is_file() for file in files):
-        found = _by_index(files, select, most)
-        if found:
-            return found
-    with ExitStack() as stack:
-        readers = [stack.enter_context(Reader(file)) for file in files]
-        connections = [connection for reader in readers for connection in reader.connections]
-        types = {connection.topic: full_type(connection.msgtype) for connection in connections}
-        topics = _topics(files, types, select(types), most)
-        for reader in readers:
-            wanted = [connection for connection in reader.connections if connection.topic in topics]
-            for connection, time, payload in reader.messages(wanted) if wanted else ():
-                topics[connection.topic].add(time, payload)
-    return _finished(types, topics)
-
-
-def _by_index(files: Sequence[Path], select: Select, most: int | None) -> Recording | None:
-    """Read MCAP files by their indexes; None where one has none, or a damaged one: rosbags says which."""
-    try:
-        parts = [IndexedMcap(file) for file in files]
-        types = {topic: message_type for part in parts for topic, message_type in part.types.items()}
-        topics = _topics(files, types, select(types), most)
-        for part in parts:
-            part.read(topics)
-    except ValveError:
-        raise
-    except Exception:  # the library raises what it stumbles over
-        return None
-    return _finished(types, topics)._replace(messages=sum(part.count for part in parts))
-
-
-def _topics(files: Sequence[Path], types: Mapping[str, str], fields: Fields, most: int | None) -> dict[str, Topic]:
-    """What takes the messages of each topic that is to be read."""
-    return {
-        name: Topic(types[name], _definitions_of(files, types[name]), keep, most)
-        for name, keep in fields.items()
-        if name in types
-    }
-
-
-def _definitions_of(files: Sequence[Path], message_type: str) -> Definitions | None:
-    """Definitions of a message type and of those in it: the usual ones, or those that one of the files holds.
-
-    None: nobody knows. The definitions are parsed, never run.
-    """
-    usual: Definitions = typestore().fielddefs
-    if message_type in usual:
-        return usual
-    parsers = {MessageDefinitionFormat.MSG: get_types_from_msg, MessageDefinitionFormat.IDL: _types_from_idl}
-    for file in files:
-        # Of a damaged file, or a definition that is none, the library raises what it stumbles over.
-        with suppress(Exception), Reader(file) as reader:
-            for connection in reader.connections:
-                if full_type(connection.msgtype) == message_type and connection.msgdef.format in parsers:
-                    found = parsers[connection.msgdef.format](connection.msgdef.data, message_type)
-                    if found:
-                        return {**usual, **found}
-    return None
-
-
-def _types_from_idl(text: str, _: str) -> Definitions:
-    return get_types_from_idl(text)
-
-
-def _finished(types: Mapping[str, str], topics: Mapping[str, Topic], findings: tuple[str, ...] = ()) -> Recording:
-    for topic in topics.values():
-        topic.finish()
-    return Recording(types, {name: topic for name, topic in topics.items() if topic.size}, findings)
-
-
 def _storage_files(path: Path) -> list[Path]:
     """Return a folder's storage files in the order they were recorded (bag_2 before bag_10)."""
     names = [*STORAGE_SUFFIXES, *(suffix + ".zstd" for suffix in STORAGE_SUFFIXES)]
@@ -233,57 +287,71 @@ def _storage_files(path: Path) -> list[Path]:
     )
 
 
-def _read_damaged(path: Path, select: Select, most: int | None, reason: str) -> Recording:
-    """Read what is left of storage files: first of what they are, then the messages of the topics to read."""
-    with _unpacked(_storage_files(path) if path.is_dir() else [path]) as files:
-        whole = _by_index(files, select, most) if path.is_dir() else None
-        if whole is not None and whole.messages:
-            return whole._replace(findings=(_describe_salvage(path, [], whole.messages, reason),))
-        found = [salvage(file, {}) for file in files]
-        types = {topic: message_type for part in found for topic, message_type in part.types.items()}
-        count = sum(part.count for part in found)
-        if not count:
-            encodings = sorted(encoding for part in found for encoding in part.encodings)
-            if encodings:
-                raise TraceError(
-                    f"{path}: messages are encoded as {', '.join(encodings)}, cdr is needed; record it with ros2 bag"
-                )
-            raise TraceError(f"{path}: no message could be saved ({reason}); record it again")
-        topics = _topics(files, types, select(types), most)
-        for file in files:
-            salvage(file, topics)
-    return _finished(types, topics, (_describe_salvage(path, found, count, reason),))
+def _metadata_of(path: Path) -> _Metadata:
+    """What metadata.yaml says, of whichever version."""
+    file = path / "metadata.yaml"
+    if not file.exists():
+        return _Metadata(trouble="metadata.yaml is missing (the recorder writes it when it ends)")
+    try:
+        with file.open("rb") as stream:
+            found = yaml.safe_load(stream.read(LARGEST_METADATA))["rosbag2_bagfile_information"]
+        names = tuple(Path(str(name)).name for name in found["relative_file_paths"])
+        return _Metadata(names, int(found["message_count"]))
+    except Exception:  # YAML of any form
+        return _Metadata(trouble="metadata.yaml cannot be read")
+
+
+def _listed_files(path: Path, metadata: _Metadata) -> tuple[list[Path], list[str]]:
+    """The files of a recording, and what is said of those that are missing or belong to another one."""
+    if not path.is_dir():
+        return [path], []
+    there = _storage_files(path)
+    # What was unpacked in place has lost the suffix of its packing.
+    listed = {name.removesuffix(".zstd") for name in metadata.names}
+    own = [file for file in there if file.name.removesuffix(".zstd") in listed]
+    if not own:
+        return there, []
+    findings = []
+    missing = sorted(listed - {file.name.removesuffix(".zstd") for file in own})
+    if missing:
+        findings.append(f"{path.name}: {', '.join(missing)} is missing, which metadata.yaml lists")
+    if len(own) < len(there):
+        others = ", ".join(file.name for file in there if file not in own)
+        findings.append(f"{path.name}: {others} was not read: metadata.yaml does not list it")
+    return own, findings
 
 
 @contextmanager
-def _unpacked(files: Sequence[Path]) -> Iterator[list[Path]]:
+def _unpacked(path: Path, files: Sequence[Path]) -> Iterator[list[Path]]:
     """Storage files, those that are packed whole in an unpacked copy that lasts as long as the context."""
     with tempfile.TemporaryDirectory() as folder:
         found = []
         for file in files:
             place = file
-            if file.suffix == ".zstd":
-                place = Path(folder) / file.stem
-                place.write_bytes(unpack_zstd(file.read_bytes()))
+            with file.open("rb") as stream:
+                if stream.read(len(ZSTD_MAGIC)) == ZSTD_MAGIC:
+                    place = Path(folder) / file.name.removesuffix(".zstd")
+                    _unpack(path, file, place)
             found.append(place)
         yield found
 
 
-def _describe_salvage(path: Path, found: Sequence[Salvaged], count: int, reason: str) -> str:
-    recorded = _declared_count(path)
-    of_all = f" of {recorded}" if recorded and recorded >= count else ""
-    complete = all(part.complete for part in found)
-    chunks = sum(part.damaged_chunks for part in found)
-    lost = "the data reach their end" if complete else "what followed is lost"
-    damaged = f", {chunks} damaged {'chunk' if chunks == 1 else 'chunks'}" if chunks else ""
-    return f"{path.name}: damaged or unfinished ({reason}); kept {count}{of_all} messages, {lost}{damaged}"
+def _unpack(path: Path, file: Path, place: Path) -> None:
+    """Unpack as much as there is of a file that is packed whole, and may be cut.
 
-
-def _declared_count(path: Path) -> int | None:
-    """Return how many messages a folder's metadata declare, if the metadata can be read."""
-    file = path / "metadata.yaml"
-    try:
-        declared = re.search(r"^  message_count: (\d+)", file.read_text("utf-8"), re.MULTILINE)
-    except (OSError, UnicodeDecodeError):
-        return None
-    return int(declared[1]) if declared else None
+    Raises:
+        TraceError: it unpacks to more than any recording.
+    """
+    most = SMALL + MOST_EXPANDED * file.stat().st_size
+    size, unpack = 0, zstandard.ZstdDecompressor().decompressobj()
+    with file.open("rb") as source, place.open("wb") as target:
+        try:
+            while piece := source.read(1 << 10):
+                size += target.write(unpack.decompress(piece))
+                if size > most:
+                    raise TraceError(
+                        f"{path}: {file.name} unpacks to more than {most / 1e6:.0f} MB, expected at most "
+                        f"{MOST_EXPANDED} times its size; unpack it yourself (zstd -d)"
+                    )
+        except zstandard.ZstdError:
+            return

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from valve_sim.signals.long_columns import blocks
 from valve_sim.signals.motion import largest_travel, motion_threshold, travel_ends
 
 if TYPE_CHECKING:
@@ -70,10 +69,7 @@ def stroke_starts(drive: Drive) -> IntArray:
 def stroke_numbers(drive: Drive, times: Array) -> NDArray[np.int32]:
     """(n,) the number of the stroke that each time belongs to, from 0 on; times before the first stroke have 0."""
     starts = drive.times[stroke_starts(drive)]
-    found = np.empty(len(times), dtype=np.int32)
-    for own in blocks(len(times)):
-        found[own] = np.maximum(np.searchsorted(starts, times[own], side="right") - 1, 0)
-    return found
+    return np.maximum(np.searchsorted(starts, times, side="right") - 1, 0).astype(np.int32)
 
 
 def command_strokes(drive: Drive) -> list[tuple[float, float]]:

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from valve_sim.signals.long_columns import filled
 from valve_sim.signals.motion import sample_noise
-from valve_sim.traces.clocks import find_gaps, intervals, usual_interval
+from valve_sim.traces.clocks import find_gaps
 from valve_sim.traces.strokes import find_stroke_parts
 
 if TYPE_CHECKING:
@@ -121,9 +120,8 @@ def _input(trace: Trace) -> str:
 
 
 def _jitter(times: NDArray[np.float64]) -> float:
-    usual = usual_interval(times)
-    deviations = filled(len(times) - 1, lambda own: np.abs(intervals(times, own) - usual))
-    return float(np.quantile(deviations, 0.99, overwrite_input=True))
+    intervals = np.diff(times)
+    return float(np.quantile(np.abs(intervals - np.median(intervals)), 0.99))
 
 
 def _position_range(trace: Trace) -> tuple[float, float] | None:
@@ -148,5 +146,5 @@ def _rate(times: NDArray[np.float64]) -> Rate:
         return Rate(len(times), 0.0)
     edges = np.unique(np.linspace(0, len(times) - 1, RATE_BLOCKS + 1).astype(np.intp))
     rate = float(np.median(np.diff(edges) / np.diff(times[edges])))
-    usual = usual_interval(times)
+    usual = float(np.median(np.diff(times)))
     return Rate(len(times), rate, in_bursts=usual * rate * BURST_FACTOR < 1.0)

@@ -13,8 +13,7 @@ from valve_sim.files.recording_map import RecordingMap, Source, TimeAxis
 from valve_sim.model.drives import Drive
 from valve_sim.signals.voltage_steps import NoStepError, find_steps, held_steps
 from valve_sim.traces.clocks import SECOND
-from valve_sim.traces.errors import TraceError
-from valve_sim.traces.trace import DriveErrors, Trace
+from valve_sim.traces.trace import DriveErrors, Trace, TraceError
 from valve_sim.traces.trouble import find_problems
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from valve_sim.traces.cdr import MalformedMessage, find_layout
 from valve_sim.traces.clocks import SECOND
-from valve_sim.traces.salvage import ZSTD_MAGIC, unpack_zstd
+from valve_sim.traces.mcap_files import LARGEST_CHUNK, ZSTD_MAGIC, TooLargeError, unpack_zstd
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
@@ -45,7 +45,7 @@ MOST_LAYOUTS: Final = 16
 LARGEST_PADDING: Final = 3
 """A middleware may pad a message to 4 bytes; more than this after the last field is invalid."""
 AT_ONCE: Final = 4096
-"""Messages that come one by one are decoded so many together."""
+"""Messages that come one by one are decoded so many together, or fewer where they have `LARGEST_CHUNK` bytes."""
 
 
 class Batch(NamedTuple):
@@ -138,6 +138,15 @@ def _count(layout: Layout) -> int:
     return sum(field.size for path, field in layout.fields.items() if not path.startswith("header."))
 
 
+class _Block(NamedTuple):
+    """When each of n messages was logged and published, its header's stamp, all ns, and whether it has a header."""
+
+    times: Times
+    published: Times
+    stamps: Times
+    has_header: NDArray[np.bool_]
+
+
 class Topic:
     """Takes the messages of a topic in the order of its files; `finish` puts them into the order of their times.
 
@@ -167,49 +176,68 @@ class Topic:
         self.is_known = definitions is not None
         self._type, self._definitions, self._keep, self._most = message_type, definitions, keep, most
         self.size = 0
-        nothing = np.empty(0, dtype=np.int64)
-        self._blocks = [Stamps(nothing, nothing.astype(np.int32), nothing.astype(bool))]
-        self._last, self._is_ascending = 0, True
+        self._blocks: list[_Block] = []
         self._batches: dict[bytes, list[Batch]] = {}
-        self._waiting: list[tuple[int, bytes]] = []
+        self._waiting: list[tuple[int, int, bytes]] = []
+        self._waiting_bytes = 0
 
-    def take(self, times: Times, raw: NDArray[np.uint8], starts: Times, stops: Times) -> None:
+    def take(self, times: Times, raw: NDArray[np.uint8], starts: Times, stops: Times, published: Times) -> None:
         """Take messages that lie in a block of bytes.
 
         Args:
             times: When each was recorded, ns, shape (n,).
             raw: The block.
             starts, stops: Where in it each message lies, shape (n,).
+            published: When each was published by its sender's clock, ns, shape (n,).
         """
+        if len(times) and raw[starts[0] : starts[0] + len(ZSTD_MAGIC)].tobytes() == ZSTD_MAGIC:
+            for time, sent, start, stop in zip(*(x.tolist() for x in (times, published, starts, stops)), strict=True):
+                self.add(time, raw[start:stop].tobytes(), sent)
+        else:
+            self._take(times, raw, starts, stops, published)
+
+    def _take(self, times: Times, raw: NDArray[np.uint8], starts: Times, stops: Times, published: Times) -> None:
         if not len(times) or (self._most is not None and self.size >= self._most):
             return
-        self._is_ascending &= bool(self._last <= times[0] and (times[1:] >= times[:-1]).all())
-        self._last = int(times[-1])
-        taken, has_header = times.copy(), np.zeros(len(times), dtype=bool)
+        stamps, has_header = np.zeros_like(times), np.zeros(len(times), dtype=bool)
         if self._definitions is not None:
             for layout, rows, index in self._decoded(raw, starts, stops - starts, self._definitions):
                 if SECONDS in layout.fields:
                     seconds, rest = (_number(rows, layout, path, 0).astype(np.int64) for path in (SECONDS, NANOSECONDS))
-                    taken[index], has_header[index] = seconds * SECOND + rest, True
+                    stamps[index], has_header[index] = seconds * SECOND + rest, True
                 columns = {place: _number(rows, layout, *place) for place in _kept(layout, self._keep)}
                 batch = Batch(layout, _where(index + self.size), columns)
                 self._batches.setdefault(_kind(rows[0], layout), []).append(batch)
-        self._blocks.append(Stamps(taken, _narrowed(times - taken), has_header))
+        self._blocks.append(_Block(times, published, stamps, has_header))
         self.size += len(times)
 
-    def add(self, time: int, payload: bytes) -> None:
-        """Take one message, unpacking it where the recorder packed each message."""
-        self._waiting.append((time, unpack_zstd(payload) if payload.startswith(ZSTD_MAGIC) else payload))
-        if len(self._waiting) >= AT_ONCE:
+    def add(self, time: int, payload: bytes, published: int | None = None) -> None:
+        """Take one message, unpacking it where the recorder packed each message.
+
+        Raises:
+            TooLargeError: it unpacks to more than `LARGEST_CHUNK`.
+        """
+        if payload.startswith(ZSTD_MAGIC):
+            unpacked = unpack_zstd(payload)
+            if len(unpacked) > LARGEST_CHUNK:
+                raise TooLargeError(
+                    f"a message of {len(payload)} bytes unpacks to more than {LARGEST_CHUNK / 1e6:.0f} MB, expected "
+                    "less; record numbers, not this"
+                )
+            payload = unpacked
+        self._waiting.append((time, time if published is None else published, payload))
+        self._waiting_bytes += len(payload)
+        if len(self._waiting) >= AT_ONCE or self._waiting_bytes > LARGEST_CHUNK:
             self._take_waiting()
 
     def _take_waiting(self) -> None:
         if self._waiting:
-            times, payloads = zip(*self._waiting, strict=True)
-            self._waiting = []
+            times, published, payloads = zip(*self._waiting, strict=True)
+            self._waiting, self._waiting_bytes = [], 0
             stops = np.cumsum([len(payload) for payload in payloads])
             raw = np.frombuffer(b"".join(payloads), np.uint8)
-            self.take(np.array(times, dtype=np.int64), raw, np.concatenate([[0], stops[:-1]]), stops)
+            starts = np.concatenate([[0], stops[:-1]])
+            self._take(_whole(times), raw, starts, stops, _whole(published))
 
     def _decoded(
         self, raw: NDArray[np.uint8], starts: Times, lengths: NDArray[np.integer], definitions: Definitions
@@ -230,16 +258,32 @@ class Topic:
                     self.trimmed += len(own)
                 yield layout, rows, own
 
-    def finish(self) -> None:
-        """Put what was taken into the order of time; later messages would be lost."""
+    @property
+    def ways(self) -> tuple[int, int] | None:
+        """The shortest and the longest time from publication to the log, ns; None where there is no message."""
+        self._take_waiting()
+        ways = [block.times - block.published for block in self._blocks]
+        return (min(int(own.min()) for own in ways), max(int(own.max()) for own in ways)) if ways else None
+
+    def finish(self, *, by_publication: bool = False) -> None:
+        """Put what was taken into the order of time; later messages would be lost.
+
+        Args:
+            by_publication: whether messages count as recorded when they were published.
+        """
         self._take_waiting()
         self.batches, self._batches = tuple(map(_joined, self._batches.values())), {}
-        taken, delays, has_header = (np.concatenate(parts) for parts in zip(*self._blocks, strict=True))
-        if not self._is_ascending:
-            order = np.argsort(taken + delays, kind="stable")
-            taken, delays, has_header, rank = taken[order], delays[order], has_header[order], np.argsort(order)
+        nothing = np.empty(0, dtype=np.int64)
+        blocks = self._blocks or [_Block(nothing, nothing, nothing, nothing.astype(bool))]
+        logged, published, stamps, has_header = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
+        recorded = published if by_publication else logged
+        taken = np.where(has_header, stamps, recorded)
+        if (recorded[1:] < recorded[:-1]).any():
+            order = np.argsort(recorded, kind="stable")
+            taken, recorded, has_header, rank = taken[order], recorded[order], has_header[order], np.argsort(order)
             self.batches = tuple(batch._replace(where=rank[batch.indices]) for batch in self.batches)
-        self._blocks = [Stamps(taken, _narrowed(delays), has_header)]
+        self._stamps = Stamps(taken, recorded - taken, has_header)
+        self._blocks = []
 
     def values(self, source: Source) -> tuple[NDArray[np.float64], Batch | None]:
         """Return the numbers that a source names, shape (n,), NaN in messages without it; and the last such messages.
@@ -264,20 +308,16 @@ class Topic:
             clock: "bag": no header is looked at.
             may_be_zero: Whether a stamp of 0 is one; else it was not filled.
         """
-        (block,) = self._blocks
-        taken, delays, has_header = block
+        taken, delays, has_header = self._stamps
         is_stamped = has_header & (clock != "bag") & (may_be_zero | (taken != 0))
         if is_stamped.all():
             return Stamps(taken.copy(), delays, is_stamped)
         return Stamps(np.where(is_stamped, taken, taken + delays), np.where(is_stamped, delays, 0), is_stamped)
 
 
-def _narrowed(values: Times) -> NDArray[np.integer]:
-    """Whole numbers in four bytes where these hold them and their differences: of a long recording eight are many."""
-    low, high = int(values.min(initial=0)), int(values.max(initial=0))
-    if low == high == 0:
-        return np.broadcast_to(np.int32(0), values.shape)
-    return values.astype(np.int32) if max(-low, high) < 2**30 else values
+def _whole(values: Sequence[int]) -> Times:
+    """Times of messages as an array; a damaged file may have some that no clock has."""
+    return np.clip(np.array(values, dtype=np.uint64), 0, 2**63 - 1).astype(np.int64)
 
 
 def _kept(layout: Layout, keep: Collection[str] | None) -> Iterator[Place]:

@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 from valve_sim.files.channels import JUDGED, SIGNALS, Signal, Signals
+from valve_sim.model.errors import ValveError
 from valve_sim.signals.left_out import LeftOut, bridged, find_left_out, usual_travel
 from valve_sim.traces.measured_input import MeasuredInput, measured_input
 
@@ -18,6 +19,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from valve_sim.model import Drive
+
+
+class TraceError(ValveError):
+    """A recording cannot be used: one line with the file and the topic, what was found, and the remedy."""
 
 
 class DriveErrors(NamedTuple):

@@ -10,11 +10,10 @@ from valve_sim.files.channels import SIGNALS
 from valve_sim.model.core_types import Phase
 from valve_sim.model.drives import Drive
 from valve_sim.signals.left_out import words_of
-from valve_sim.signals.long_columns import largest_size
 from valve_sim.signals.motion import SMALLEST_MOTION, largest_travel, motion_threshold
 from valve_sim.traces.clocks import find_gaps
-from valve_sim.traces.errors import TraceError
 from valve_sim.traces.strokes import FULL_TRAVEL, find_stroke_parts
+from valve_sim.traces.trace import TraceError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -67,7 +66,7 @@ def find_problems(trace: Trace, positions: str, voltage: str) -> list[str]:
     findings += _impossible(trace)
     if not trace.has_positions:
         return findings + beside
-    reach = largest_size(trace.kept_position)
+    reach = float(np.abs(trace.kept_position).max(initial=0.0))
     if reach > LARGEST_POSITION:
         findings.append(f"{positions}: {PILOT} reaches {reach:.6g} m: positions must be in metres")
     travel = largest_travel(trace.usable_position)

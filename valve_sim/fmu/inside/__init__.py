@@ -1,1 +1,1 @@
-"""What a unit runs: one script for each version of FMI, which a copy in the unit brings to the tool that loads it."""
+"""What a unit runs: a script, of which a copy in the unit brings the valve to the tool that loads it."""

@@ -18,9 +18,8 @@ from valve_sim.model.drives import Supply
 from valve_sim.model.gas.parameters import GAS
 from valve_sim.model.runs import Directions, Run, Shown
 from valve_sim.model.simulation import commands_of
-from valve_sim.signals.long_columns import any_in, blocks, filled, largest_size, median_of, repeated_levels
+from valve_sim.signals.resting_noise import repeated_levels
 from valve_sim.traces import Signal, Trace, stroke_numbers
-from valve_sim.traces.clocks import intervals, usual_interval
 from valve_sim.traces.measured_input import AT_COMMAND
 
 FIT_TOLERANCE: Final = 1e-8
@@ -97,7 +96,7 @@ def _position_resolution(trace: Trace) -> float:
     Stamps of samples and of commands are whole nanoseconds, and a plunger moves on meanwhile; a step of the integrator
     is accurate to its tolerance, of a full stroke; a float has 16 digits.
     """
-    reach = largest_size(trace.usable_position)
+    reach = float(np.abs(trace.usable_position).max())
     return math.hypot(STAMPS * fastest_motion(trace), FIT_TOLERANCE * reach, float(np.finfo(np.float64).eps) * reach)
 
 
@@ -111,7 +110,7 @@ def fastest_motion(trace: Trace) -> float:
 
 
 def _coarse_step(data: Array) -> float:
-    levels = repeated_levels([data])
+    levels = repeated_levels(data)
     return float(np.median(np.diff(levels))) if 1 < len(levels) < 0.5 * len(data) else 0.0
 
 
@@ -150,8 +149,9 @@ def without_jittered_current(trace: Trace) -> Trace:
     if trace.coil_current is None or len(trace.coil_current.times) < 3:
         return trace
     times = trace.coil_current.times
-    usual = usual_interval(times)
-    scatter = median_of(filled(len(times) - 1, lambda own: np.abs(intervals(times, own) - usual)))
+    intervals = np.diff(times)
+    usual = float(np.median(intervals))
+    scatter = float(np.median(np.abs(intervals - usual)))
     return replace(trace, coil_current=None) if scatter > JITTERED * usual else trace
 
 
@@ -187,7 +187,7 @@ def _pressure_channel(index: int, trace: Trace) -> Channel:
     return Channel(
         f"{trace.source}: outlet_pressure", "pressure", times, data, still,
         stroke_numbers(trace.drive, times), "Pa", recording=index, drifts=True,
-        resolution=PRESSURE_RESOLUTION * largest_size(data),
+        resolution=PRESSURE_RESOLUTION * float(np.abs(data).max()),
     )  # fmt: skip
 
 
@@ -195,11 +195,11 @@ def _current_channel(index: int, trace: Trace, strokes: NDArray[np.integer]) -> 
     role: Role = "actuation" if trace.has_positions else "response"
     assert trace.coil_current is not None
     times, data = trace.coil_current
-    is_single = not any_in(len(data), lambda own: data[own] != data[own].astype(np.float32))
+    is_single = bool((data == data.astype(np.float32)).all())
     return Channel(
         f"{trace.source}: coil_current", "current", times, data, _settled(trace.drive, trace.coil_current), strokes,
         "A", role=role, recording=index, drifts=True,
-        resolution=(ROUNDING if is_single else FIT_TOLERANCE) * largest_size(data),
+        resolution=(ROUNDING if is_single else FIT_TOLERANCE) * float(np.abs(data).max()),
     )  # fmt: skip
 
 
@@ -411,15 +411,10 @@ def _settled(drive: Drive, current: Signal) -> NDArray[np.bool_]:
     """(n,) the last third of each interval between commands, where the current has settled."""
     times, values = current
     edges = np.concatenate([[times[0]], drive.times, [times[-1]]])
-    at, numbers = [], []
-    for block in blocks(len(times)):
-        own = times[block]
-        index = np.clip(np.searchsorted(edges, own, side="right") - 1, 0, len(edges) - 2)
-        start, stop = edges[index], edges[index + 1]
-        chosen = np.flatnonzero((own - start > (2.0 / 3.0) * (stop - start)) | (index == 0))
-        at.append(block.start + chosen)
-        numbers.append(index[chosen].astype(np.int32))
-    late, interval = np.concatenate(at), np.concatenate(numbers)
+    index = np.clip(np.searchsorted(edges, times, side="right") - 1, 0, len(edges) - 2)
+    start, stop = edges[index], edges[index + 1]
+    late = np.flatnonzero((times - start > (2.0 / 3.0) * (stop - start)) | (index == 0))
+    interval = index[late]
     settled = np.zeros(len(times), dtype=bool)
     settled[late] = True
     for own in np.split(late, np.flatnonzero(np.diff(interval)) + 1):

@@ -31,7 +31,6 @@ from valve_sim.identification.plants.valve_sensors import response_to
 from valve_sim.model import EXACT, TOLERANCE, Drive, Event, EventKind, Response, SimulationError, Valve, ValveError
 from valve_sim.model.runs import Run
 from valve_sim.model.simulation import commands_of
-from valve_sim.signals.long_columns import blocks
 from valve_sim.traces import SensorEvent, Signal, StrokePart, Trace, events_from_sensors, find_stroke_parts
 from valve_sim.traces.checking import check_traces
 
@@ -313,17 +312,15 @@ def _within_tolerances(trace: Trace, valve: Valve) -> Iterator[Valve]:
 
 def _moving(times: Array, is_moving: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """(n,) samples no further than MARGIN from one in which the model moves."""
-    moving = np.zeros(len(times), dtype=bool)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], is_moving, [False]])))
+    if not len(edges):
+        return is_moving
     # From the first to the last sample of each motion, none of which need be held one by one.
     firsts, lasts = times[edges[::2]], times[edges[1::2] - 1]
-    for own in blocks(len(times) if len(edges) else 0):
-        here = times[own]
-        after = np.minimum(np.searchsorted(lasts, here), len(lasts) - 1)
-        before = np.maximum(np.searchsorted(firsts, here, side="right") - 1, 0)
-        distance = np.minimum(np.abs(firsts[after] - here), np.abs(lasts[before] - here))
-        moving[own] = is_moving[own] | (distance <= MARGIN)
-    return moving
+    after = np.minimum(np.searchsorted(lasts, times), len(lasts) - 1)
+    before = np.maximum(np.searchsorted(firsts, times, side="right") - 1, 0)
+    distance = np.minimum(np.abs(firsts[after] - times), np.abs(lasts[before] - times))
+    return np.asarray(is_moving | (distance <= MARGIN))
 
 
 def errors_between(
@@ -334,31 +331,22 @@ def errors_between(
     chosen: slice,
     left_out: NDArray[np.bool_] | None = None,
 ) -> Errors:
-    """Measured less shown over the chosen samples that are not left out, a block of them at a time.
+    """Measured less shown over the chosen samples that are not left out.
 
     Args:
         measured, shown: (n,). moving: (n,) whether the model moves. allowed: the tolerance. chosen: samples.
         left_out: (n,) what is no measurement.
     """
-    own = range(*chosen.indices(len(measured)))
-    squares, of_motion, count, samples, largest = [], [], 0, 0, 0.0
-    for part in blocks(len(own)):
-        block = slice(own.start + part.start, own.start + part.stop)
-        left, moves = measured[block] - shown[block], moving[block]
-        if left_out is not None:
-            left, moves = left[~left_out[block]], moves[~left_out[block]]
-        squares.append(float(np.sum(np.square(left))))
-        of_motion.append(float(np.sum(np.square(left[moves]))))
-        count, samples = count + len(left), samples + int(np.count_nonzero(moves))
-        largest = max(largest, float(np.max(np.abs(left), initial=0.0)))
+    left, moves = measured[chosen] - shown[chosen], moving[chosen]
+    if left_out is not None:
+        left, moves = left[~left_out[chosen]], moves[~left_out[chosen]]
     tolerance = allowed.of(chosen, moving) if isinstance(allowed, Allowed) else allowed
-    rmse, moving_rmse = _root(math.fsum(squares), count), _root(math.fsum(of_motion), samples)
-    return Errors(count, rmse, moving_rmse, largest, tolerance)
+    return Errors(len(left), _rms(left), _rms(left[moves]), float(np.max(np.abs(left), initial=0.0)), tolerance)
 
 
-def _root(squares: float, samples: int) -> float:
-    """Square root of the mean of squares; nan where there are none."""
-    return math.sqrt(squares / samples) if samples else math.nan
+def _rms(values: Array) -> float:
+    """Root of the mean square; nan where there are none."""
+    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else math.nan
 
 
 def _stroke_checks(
