@@ -46,19 +46,17 @@ def assert_sound(found: Diagnosis) -> None:
         assert found.unexplained.force == pytest.approx(curve)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "bag",
     [
         "eight_strokes.mcap",
-        pytest.param("live.mcap", marks=pytest.mark.long),
+        "live.mcap",
         pytest.param(
             "one_opening.mcap",
-            marks=[
-                pytest.mark.long,
-                pytest.mark.xfail(strict=True, raises=AssertionError, reason="one opening is said to lack nothing"),
-            ],
+            marks=pytest.mark.xfail(strict=True, raises=AssertionError, reason="one opening is said to lack nothing"),
         ),
-        pytest.param("friction", marks=pytest.mark.long),
+        "friction",
     ],
 )
 def test_of_the_shipped_bags_only_the_one_with_friction_gets_a_name(bag: str) -> None:
