@@ -14,7 +14,7 @@ from valve_sim.identification.diagnosis.run import Verdict
 from valve_sim.identification.monitoring.agreement import Agreement
 from valve_sim.identification.monitoring.command_timing import StrokeTiming
 from valve_sim.identification.monitoring.cusum import likeliest_change
-from valve_sim.identification.monitoring.fault_isolation import FaultFinding
+from valve_sim.identification.monitoring.fault_isolation import FaultFinding, isolate_fault
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.monitoring.shared_delay import SharedDelay
 from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
@@ -116,3 +116,20 @@ def test_a_shared_delay_is_told_with_what_would_tell_its_cause() -> None:
     assert shared_delay_words(-0.6e-3) == (
         "commands are obeyed 600 µs sooner than when commissioned: a clock, a load, or the valve; hear ~/coil to tell"
     )
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [21, 22, 23])
+def test_the_first_finding_after_friction_appears_is_friction_or_none(seed: int) -> None:
+    """Beside the fault, samples and commands shift against each other, as on a machine whose load changes."""
+    watched, said = Watched(seed), Agreement()
+    watched.strokes(seed % 3)
+    watched.valve.offset = SHIFT
+    for _ in range(14):
+        watched.strokes(1, FRICTION)
+        monitor = watched.monitor.stroke_monitor
+        if (evidence := monitor.take_evidence()) and said.add(isolate_fault(evidence, monitor.with_present_scatter())):
+            break
+    assert said.said is not None
+    assert said.said.verdict.kind == "effects"
+    assert "coulomb_friction" in {*said.said.verdict.effects, *said.said.verdict.confusable_with}
