@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from valve_sim.files.ledger import note_written
 from valve_sim.model.errors import ValveError
 
 
@@ -34,7 +33,6 @@ def atomic_write(path: Path, refusal: type[ValveError] = ValveError, *, durable:
         if durable:
             _flush(partial)
         partial.replace(path)
-        note_written(path)
     except OSError as error:
         raise refusal(f"{path}: cannot be written ({error.strerror}); choose another place") from error
     finally:
