@@ -23,7 +23,6 @@ from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import CATALOGUE, Drive, Stepper, Valve, ValveError, simulate, simulate_many
 from valve_sim.model.core.machine import when_compiling
 from valve_sim.model.gas import GasParameters
-from valve_sim.model.gas.line import Gas, Line
 from valve_sim.model.runs import WIDTHS
 from valve_sim.traces import Trace
 
@@ -60,14 +59,13 @@ def _warm_fits(valve: Valve, drive: Drive) -> None:
 
 
 def warm_gas() -> None:
-    """Compile what a valve with gas needs: with each effect alone, with derivatives, and a line that several fill."""
+    """Compile what a valve with gas needs: with each effect alone, and with derivatives."""
     sizes = GasParameters(1e7, 1e-5, 2e-4, 3e-3, 4e-3)
     for demand in (0.0, 1e-4):
         gas = sizes._replace(demand_orifice_diameter=demand)
         valve = replace(default_valve().with_values(seat_load=0.3), gas=gas)
         _warm_plans(valve, has_gas=True)
         simulate(valve, Drive.of([0.0], [valve.parameters.reference_voltage]), [0.0, 1e-3])
-    Line(Gas(), (1e-9,), 1e-9, 1e-6, 1e-6).step((1e-6, 1e-6), (1e6,), 1e-3)
 
 
 def _warm_plans(valve: Valve, *, has_gas: bool) -> None:
