@@ -405,6 +405,36 @@ def test_a_mistake_in_the_program_keeps_its_traceback(monkeypatch: pytest.Monkey
     assert isinstance(CliRunner().invoke(main, ["info", str(strokes)]).exception, ZeroDivisionError)
 
 
+@pytest.mark.parametrize(
+    ("command", "option"),
+    [
+        (("identify", "{bag}"), "--output"),
+        (("diagnose", "{bag}"), "--output"),
+        (("fit-force", "{bag}"), "--output"),
+        (("map", "{bag}"), "--output"),
+        (("simulate", "--voltage", "9", "--duration", "1"), "--output"),
+        (("simulate", "--voltage", "9", "--duration", "1", "--output", "{ok}"), "--plot"),
+        (("validate", "{bag}", "--params", "config/valve.yaml"), "--junit"),
+    ],
+)
+@pytest.mark.parametrize("place", ["/proc/none/it", "{ok}/file/it"])
+def test_what_cannot_be_written_is_refused_before_anything_is_read(
+    command: tuple[str, ...], option: str, place: str, strokes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """Root may write to all but what the system keeps for itself."""
+
+    def reads(*arguments: object, **settings: object) -> None:
+        raise AssertionError("read before it was known that nothing can be written")
+
+    for name in ("read_trace", "read_recordings"):
+        monkeypatch.setattr(f"valve_sim.{'traces' if name == 'read_trace' else 'cli.reading'}.{name}", reads)
+    (tmp_path / "file").touch()
+    given = [own.format(bag=strokes, ok=tmp_path) for own in (*command, option, place)]
+    result = run(*given)
+    assert result.exit_code == 2
+    assert re.fullmatch(rf"valve-sim: {given[-1]}: cannot be written \(.*\); choose another place\n", result.stderr)
+
+
 # --- as a real process ---
 
 

@@ -6,6 +6,7 @@ import inspect
 import itertools
 import os
 import sys
+from pathlib import Path
 from typing import Any, Final, NoReturn
 
 import click
@@ -15,6 +16,8 @@ from valve_sim.cli.printing import one_line
 UNUSABLE: Final = 2
 STOPPED: Final = 130
 """Exit codes."""
+WRITTEN: Final = ("output", "plot", "junit")
+"""Options that name a file or a folder to write."""
 COMPLETE_VAR: Final = "_VALVE_SIM_COMPLETE"
 """Environment variable by which a shell asks for completions. The shipped completion scripts use this name."""
 
@@ -24,6 +27,16 @@ class Command(click.Command):
 
     def __init__(self, *arguments: Any, **settings: Any) -> None:
         super().__init__(*arguments, **{**settings, "help": _with_examples(settings.get("help"))})
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command, unless what it is to write cannot be written: that is said before any work."""
+        from valve_sim.files.whole_files import refuse_unwritable
+
+        for name in WRITTEN:
+            path = ctx.params.get(name)
+            if isinstance(path, Path):
+                refuse_unwritable(path / "any" if path.is_dir() else path)
+        return super().invoke(ctx)
 
 
 class CommandLine(click.Group):
