@@ -39,16 +39,15 @@ archive_node: Final = Program(
     "archive_node",
     "valve_sim.station.archive_node:ArchiveNode",
     """
-    archive_node keeps strokes, findings and alarms of valves for years, as Parquet files.
+    archive_node keeps strokes, findings and alarms of valves for years, in SQLite.
 
     It subscribes to what monitors and valves publish; `valve-sim history` prints what it has
-    kept. It needs the extra parquet: pip install '.[parquet]'.
+    kept.
 
         archive_node --ros-args -p folder:=archive -p valves:='[valve]' \\
             -p monitors:='[monitor]'
 """,
     "docs/how_to/archive.md",
-    needs=Extra("pyarrow", "parquet", "the archive"),
 )
 
 if __name__ == "__main__":
