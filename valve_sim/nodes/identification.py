@@ -189,11 +189,11 @@ class IdentificationNode(RosNode[IdentificationSettings]):
             self._node.context.try_shutdown()
 
     def _apply(self, outcome: Outcome, remote: RemoteParameters) -> Applied:
-        """Set the whole valve, effects that are off and tolerances too, at once or not at all; keep what it had."""
+        """Set what the recording determines, all of it at once or nothing; keep what the valve had."""
         logger = self._node.get_logger()
         if outcome.objection and not self._settings.apply_always:
             return Applied(remote.name, False, f"{outcome.objection}; apply_always:=true sets it all the same")
-        new = valve_parameters(outcome.valve)
+        new = valve_parameters(outcome.to_set)
         try:
             old = remote.values(list(new))
             write_sections(self._folder / BEFORE_FILE, [Section(remote.name, old)])
@@ -207,6 +207,10 @@ class IdentificationNode(RosNode[IdentificationSettings]):
         lines = tuple(change.text() for change in changes)
         for line in lines:
             logger.info(f"{remote.name}: {line}")
+        if outcome.held:
+            logger.info(
+                f"{remote.name}: as declared, because the recording does not determine it: {', '.join(outcome.held)}"
+            )
         logger.info(
             f"undo: `ros2 param load {remote.name} {(self._folder / BEFORE_FILE).resolve()}`, or, while this node "
             f"runs (linger:=true), its service ~/undo"
