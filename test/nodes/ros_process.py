@@ -278,12 +278,16 @@ class Probe:
 
     def set_parameters(self, **values: Any) -> list[Any]:
         """Set parameters, `__` for a dot; the results."""
-        from rcl_interfaces.srv import SetParameters
         from rclpy.parameter import Parameter
 
-        parameters = [
-            Parameter(name.replace("__", "."), value=value).to_parameter_msg() for name, value in values.items()
-        ]
+        return self.set_messages(
+            [Parameter(name.replace("__", "."), value=value).to_parameter_msg() for name, value in values.items()]
+        )
+
+    def set_messages(self, parameters: Sequence[Any]) -> list[Any]:
+        """Set parameters that are messages; the results."""
+        from rcl_interfaces.srv import SetParameters
+
         return list(self.call("set_parameters", SetParameters, SetParameters.Request(parameters=parameters)).results)
 
     def parameters(self) -> dict[str, Any]:

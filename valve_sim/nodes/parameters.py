@@ -267,11 +267,27 @@ def changed_words(before: Mapping[str, Value], after: Mapping[str, Value]) -> st
 
 
 def as_declared(name: str, value: object, table: Table) -> object:
-    """An integer where the table has a double, and integers in its list, become doubles; all else is returned as is."""
+    """A number, or numbers in a list, where the table has doubles, as doubles; all else is returned as is.
+
+    `ros2 param load` hands on 1e-06, inf, and lists that hold such, as texts.
+    """
     kind = table[name].type if name in table else ""
-    if kind == "double" and type(value) is int:
-        return float(value)
-    if kind == "double array" and not isinstance(value, str) and isinstance(value, Collection):
-        items = list(value)
-        return [float(item) for item in items] if all(type(item) in (int, float) for item in items) else value
-    return value
+    if kind == "double" and type(value) in (int, str):
+        return _double(value)
+    if kind != "double array":
+        return value
+    if isinstance(value, str):
+        value = value.strip("[]").split(",")
+    if not isinstance(value, Collection):
+        return value
+    items = [_double(item) for item in value]
+    return items if all(type(item) is float for item in items) else value
+
+
+def _double(value: object) -> object:
+    if type(value) not in (int, float, str):
+        return value
+    try:
+        return float(value)  # type: ignore[arg-type]
+    except (ValueError, OverflowError):
+        return value
