@@ -50,9 +50,9 @@ UNKNOWN_PHASE: Final = 0xFFFF
 _LARGEST: Final = 0xFFFF
 
 MAP: Final = (
-    Register(0, "heartbeat", "UINT16", "written by the PLC", "", "another number at least every watchdog time"),
+    Register(0, "heartbeat", "UINT16", "written by the PLC", "", "a new number within each watchdog time"),
     Register(1, "coil_command", "UINT16", "written by the PLC", "", "1: energise, 0: de-energise; others are refused"),
-    Register(10, "heartbeat_echo", "UINT16", "read by the PLC", "", "the heartbeat that was received last"),
+    Register(10, "heartbeat_echo", "UINT16", "read by the PLC", "", "last heartbeat that was received"),
     Register(
         11, "status", "UINT16", "read by the PLC", "",
         "bits: 0 is_open, 1 coil energised, 2 PLC silent, 3 a 0 has to be written before a 1 counts, 4 valve heard",
@@ -62,8 +62,8 @@ MAP: Final = (
     ),
     Register(13, "is_open", "UINT16", "read by the PLC", "", "1: the flow path is fully open"),
     Register(14, "outlet_pressure", "FLOAT32", "read by the PLC", "Pa", "absolute; NaN where it is not known"),
-    Register(16, "own_heartbeat", "UINT16", "read by the PLC", "", "another number at each cycle of this side"),
-    Register(17, "trips", "UINT16", "read by the PLC", "", "how often the watchdog has de-energised this coil"),
+    Register(16, "own_heartbeat", "UINT16", "read by the PLC", "", "a new number at each cycle of plc_node"),
+    Register(17, "trips", "UINT16", "read by the PLC", "", "times that the watchdog has de-energised the coil"),
 )  # fmt: skip
 """The register map of one valve; holding registers, which are read by functions 3 and 4 and written by 6 and 16."""
 
