@@ -130,7 +130,6 @@ setup(
         "console_scripts": [
             "archive_node = valve_sim.station.__main__:archive_node",
             "command_profile = valve_sim.nodes.__main__:command_profile",
-            "dispenser_node = valve_sim.station.__main__:dispenser_node",
             "identification_node = valve_sim.nodes.__main__:identification_node",
             "monitor_node = valve_sim.nodes.__main__:monitor_node",
             "opcua_node = valve_sim.station.__main__:opcua_node",

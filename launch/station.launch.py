@@ -5,8 +5,6 @@
 
     ros2 launch valve_sim station.launch.py opcua:=true plc:=true archive:=true
 
-With gas a dispenser commands the valves; dispenser:=false leaves that to you.
-
 A monitor declares the valve that its parameter file describes, and hears the simulated valve's own joint_states in
 place of a sensor's. What a parameter sets while the station runs is a fault to it.
 """
@@ -15,7 +13,7 @@ from pathlib import Path
 
 from launch.actions import DeclareLaunchArgument
 from launch.conditions import IfCondition
-from launch.substitutions import AndSubstitution, IfElseSubstitution, LaunchConfiguration
+from launch.substitutions import IfElseSubstitution, LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchDescription
@@ -26,7 +24,6 @@ NOISE_UM = 1.0
 TANKS = ("tank_1", "tank_2", "tank_3")
 ARGUMENTS = {
     "gas": ("false", "whether there is hydrogen before the valves, and a line behind them"),
-    "dispenser": ("true", "with gas: whether a dispenser fills vehicles from the line, one valve after the other"),
     "use_sim_time": ("false", "follow /clock"),
     "monitors": ("true", "whether each valve has a monitor_node beside it"),
     "publish_rate": ("500.0", "Hz, of each valve"),
@@ -75,19 +72,6 @@ def monitor_of(tank: str) -> Node:
     )
 
 
-def dispenser() -> Node:
-    """The line that all tanks feed, with gas."""
-    return Node(
-        package="valve_sim",
-        executable="dispenser_node",
-        name="dispenser",
-        namespace="",
-        parameters=[[f"{CONFIG}/gas_dispenser.yaml"], {"use_sim_time": LaunchConfiguration("use_sim_time")}],
-        condition=IfCondition(AndSubstitution(LaunchConfiguration("gas"), LaunchConfiguration("dispenser"))),
-        output="screen",
-    )
-
-
 def node_of_all(name: str, **parameters: list[str]) -> Node:
     """A node of the station beside its tanks, where the argument of its name says so."""
     valves = [f"{tank}/valve" for tank in TANKS]
@@ -103,13 +87,13 @@ def node_of_all(name: str, **parameters: list[str]) -> Node:
 
 
 def generate_launch_description() -> LaunchDescription:
-    """A valve and a monitor for each tank, a dispenser where there is gas, and what serves all of them."""
+    """A valve and a monitor for each tank, and what serves all of them."""
     arguments = [
         DeclareLaunchArgument(name, default_value=value, description=words)
         for name, (value, words) in ARGUMENTS.items()
     ]
     monitors = [f"{tank}/monitor" for tank in TANKS]
-    nodes = [*(valve_of(tank) for tank in TANKS), *(monitor_of(tank) for tank in TANKS), dispenser()]
+    nodes = [*(valve_of(tank) for tank in TANKS), *(monitor_of(tank) for tank in TANKS)]
     nodes += [
         node_of_all("opcua", monitors=monitors),
         node_of_all("plc"),

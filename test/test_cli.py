@@ -468,21 +468,37 @@ def test_an_interrupted_command_says_so_and_exits_130(monkeypatch: pytest.Monkey
 
     monkeypatch.setattr("valve_sim.traces.describe", stops)
     result = run("info", strokes)
-    assert (result.exit_code, result.stderr) == (130, "valve-sim: stopped; nothing was written\n")
+    assert (result.exit_code, result.stderr) == (130, "valve-sim: stopped\n")
 
 
-def test_a_command_stopped_late_says_what_it_wrote_and_what_not(
-    monkeypatch: pytest.MonkeyPatch, strokes: Path, tmp_path: Path
+@pytest.mark.parametrize(
+    ("command", "option"),
+    [
+        (("identify", "{bag}"), "--output"),
+        (("diagnose", "{bag}"), "--output"),
+        (("fit-force", "{bag}"), "--output"),
+        (("map", "{bag}"), "--output"),
+        (("simulate", "--voltage", "9", "--duration", "1"), "--output"),
+        (("simulate", "--voltage", "9", "--duration", "1", "--output", "{ok}"), "--plot"),
+        (("validate", "{bag}", "--params", "config/valve.yaml"), "--junit"),
+    ],
+)
+@pytest.mark.parametrize("place", ["/proc/none/it", "{ok}/file/it"])
+def test_what_cannot_be_written_is_refused_before_anything_is_read(
+    command: tuple[str, ...], option: str, place: str, strokes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    def stops(*arguments: object) -> None:
-        raise KeyboardInterrupt
+    """Root may write to all but what the system keeps for itself."""
 
-    monkeypatch.setattr("valve_sim.identification.reporting.files.save_valve", stops)
-    result = run("identify", strokes, "--output", tmp_path)
-    written, missing = tmp_path / "identify.json", tmp_path / "identified.yaml"
-    assert result.exit_code == 130
-    assert result.stderr.endswith(f"valve-sim: stopped; wrote {written}; not written: {missing}\n")
-    assert [path.name for path in tmp_path.iterdir()] == ["identify.json"]
+    def reads(*arguments: object, **settings: object) -> None:
+        raise AssertionError("read before it was known that nothing can be written")
+
+    for name in ("read_trace", "read_recordings"):
+        monkeypatch.setattr(f"valve_sim.{'traces' if name == 'read_trace' else 'cli.reading'}.{name}", reads)
+    (tmp_path / "file").touch()
+    given = [own.format(bag=strokes, ok=tmp_path) for own in (*command, option, place)]
+    result = run(*given)
+    assert result.exit_code == 2
+    assert re.fullmatch(rf"valve-sim: {given[-1]}: cannot be written \(.*\); choose another place\n", result.stderr)
 
 
 # --- as a real process ---

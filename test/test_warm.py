@@ -23,14 +23,15 @@ from valve_sim.identification.diagnosis.run import begin
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.plants.protocol import Direction
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.model import CATALOGUE, Drive, Stepper, Valve, simulate_many
+from valve_sim.model import CATALOGUE, Drive, Stepper, Valve, simulate
 from valve_sim.traces import Signal, Trace, read_trace
 opening = Valve().with_values(a0=3.0).parameters
 drag = Valve(opening, {"quadratic_drag": {"coefficient": 1.0}})
 stiff = Valve(opening, {"spring_hardening": {"coefficient": 1e9}})
 mapped = Valve(opening, {"force_map": {"low": 0.0, "high": 1e-3, "c3": 0.1}})
-shown = simulate_many([Valve(opening), drag, stiff, mapped], Drive.of([0.0], [9.0]), [8e-3])[:, 0]
-assert len(set(shown.tolist())) == 4, "each effect finds its own code, not another's"
+valves = (Valve(opening), drag, stiff, mapped)
+shown = {simulate(valve, Drive.of([0.0], [9.0]), [8e-3]).pilot_position[0] for valve in valves}
+assert len(shown) == 4, "each effect finds its own code, not another's"
 times = np.arange(0.0, 0.01, 1e-4)
 trace = Trace("made", Drive.of([0.0], [9.0]), times, 0.0 * times, coil_current=Signal(times, 0.0 * times))
 problem = Problem(ValvePlant([trace], drag))

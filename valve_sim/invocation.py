@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final
 
 PACKAGE: Final = "valve_sim"
-MODULES: Final = {"valve-sim": PACKAGE, "dispenser_node": f"{PACKAGE}.station dispenser_node"}
+MODULES: Final = {"valve-sim": PACKAGE}
 """What to run by `python -m` for a program; the others are nodes of `valve_sim.nodes`."""
 
 

@@ -29,13 +29,11 @@ _TOPICS: Final = {
     "identification_node": topics.IDENTIFICATION,
     "monitor_node": topics.MONITOR,
     "command_profile": topics.PROFILE,
-    "dispenser_node": station.DISPENSER_TOPICS,
     "opcua_node": station.OPCUA_TOPICS,
     "plc_node": station.PLC_TOPICS,
     "archive_node": station.ARCHIVE_TOPICS,
 }
 _STATION: Final[dict[str, type[NodeSettings]]] = {
-    "dispenser_node": station.DispenserSettings,
     "opcua_node": station.OpcUaSettings,
     "plc_node": station.PlcSettings,
     "archive_node": station.ArchiveSettings,

@@ -5,7 +5,7 @@ commands one stroke a second to each valve in turn, and prints by node what it t
 commissioned, by valve the steps that it lost, by monitor the strokes that it reported. Wanted: no step lost, at most
 120 % of a core in all. Wants a quiet machine with two cores.
 
-`--gas` takes the tanks of hydrogen and the dispenser, as the launch file does with gas:=true. It commands the valves:
+`--gas` takes the tanks of hydrogen and docs/examples/dispenser.py, as dispenser.launch.py does. It commands the valves:
 each makes one stroke for each vehicle, every fifteen seconds. In the middle a leak is put into one of them by
 parameter. Wanted besides: vehicles are filled, and its monitor, and no other, names the leak within 10 strokes.
 
@@ -23,9 +23,11 @@ import contextlib
 import itertools
 import json
 import math
+import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -48,6 +50,7 @@ LEAK: Final = 2e-9
 """m², 6 % of the pilot's orifice."""
 LEAK_NAMED_WITHIN, ALARM_WITHIN = 10, 40
 """Strokes of the faulty valve."""
+DISPENSER: Final = Path(__file__).parents[2] / "docs" / "examples" / "dispenser.py"
 STICTION: Final = 0.5
 """N, as on the station's page."""
 MOST_SHARE: Final = 120.0
@@ -186,7 +189,7 @@ def station(*, gas: bool = False) -> Iterator[dict[str, int]]:
         for name, parameters in PARAMETERS.items()
     }
     if gas:
-        commands["dispenser"] = program("dispenser_node", package="station", file=config_path("gas_dispenser.yaml"))
+        commands["dispenser"] = [sys.executable, str(DISPENSER)]
     with running(commands) as processes:
         yield {name: process.pid for name, process in processes.items()}
 

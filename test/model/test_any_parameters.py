@@ -40,7 +40,7 @@ def valves(*, with_sensors: bool) -> st.SearchStrategy[Valve]:
 
 drives = st.lists(st.tuples(st.floats(0.0, SECONDS), st.floats(-1e4, 1e4) | st.sampled_from((0.0, 9.0, -9.0, 30.0))),
                   min_size=1, max_size=6).map(sorted)  # fmt: skip
-some = settings(max_examples=60, suppress_health_check=list(HealthCheck))
+some = settings(max_examples=20, suppress_health_check=list(HealthCheck))
 
 
 @pytest.fixture(scope="module", autouse=True)

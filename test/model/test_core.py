@@ -81,7 +81,7 @@ def test_a_registered_effect_acts_as_the_built_in_one() -> None:
     np.testing.assert_allclose(simulated.pilot_position, simulate(theirs, STEP, LATE).pilot_position, atol=1e-11)
 
 
-@pytest.mark.parametrize("time_constant", [1e-300, 1e-12, 1e-9, 1.9e-8, 2e-8])
+@pytest.mark.parametrize("time_constant", [1e-300, 1.9e-8, 2e-8])
 def test_a_coil_too_fast_to_integrate_heats_too(time_constant: float) -> None:
     effects = {"coil_heating": {"temperature_rate": 100.0, "cooling_time_constant": 5.0}}
     fast, instant = (
@@ -91,15 +91,10 @@ def test_a_coil_too_fast_to_integrate_heats_too(time_constant: float) -> None:
     assert opened[0] == pytest.approx(opened[1], abs=2.0 * time_constant + 1e-9)
 
 
-def test_a_time_constant_whose_reciprocal_overflows_is_none() -> None:
-    shortest, none = (
-        simulate(CALIBRATED.with_values(coil_time_constant=constant), STEP, LATE) for constant in (2e-311, 0.0)
-    )
-    assert shortest.first(EventKind.REACHED_STOP) == pytest.approx(none.first(EventKind.REACHED_STOP), abs=1e-9)
-
-
-@pytest.mark.parametrize("time_constant", [0.0, 1e-7, 0.9934e-3, 5e-2])
-@pytest.mark.parametrize("spacing", ["even", "rounded stamps", "jittered", "twice at one time"])
+@pytest.mark.parametrize(
+    ("time_constant", "spacing"),
+    [(0.0, "even"), (1e-7, "rounded stamps"), (0.9934e-3, "jittered"), (5e-2, "twice at one time")],
+)
 def test_currents_follow_the_exponential_however_samples_are_spaced(time_constant: float, spacing: str) -> None:
     """Each current follows from the one before while intervals are alike, through commands and long rests too."""
     times = np.arange(3000) / 18_000.0

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from valve_sim.files.parameter_files import load_valve, save_valve
+from valve_sim.files.parameter_files import load_valve
 from valve_sim.files.resources import config_path
 from valve_sim.model import (
     Drive,
@@ -53,7 +52,7 @@ def balanced(seed: int) -> bool:
 
 
 @pytest.mark.parametrize(
-    "seed", [*range(5), 153, 198, *(pytest.param(seed, marks=pytest.mark.long) for seed in (*range(5, 20), 166))]
+    "seed", [0, 1, 153, 198, *(pytest.param(seed, marks=pytest.mark.long) for seed in (*range(2, 20), 166))]
 )
 def test_agrees_with_dop853(seed: int) -> None:
     position, moment, current, same = differences(seed, 1e-12)
@@ -64,7 +63,7 @@ def test_agrees_with_dop853(seed: int) -> None:
 
 
 @pytest.mark.parametrize(
-    "seed", [*range(5), 17, *(pytest.param(s, marks=pytest.mark.long) for s in (*range(5, 12), *range(21, 25)))]
+    "seed", [0, 3, 17, *(pytest.param(s, marks=pytest.mark.long) for s in (*range(4, 12), *range(21, 25)))]
 )
 def test_a_release_by_a_freewheeling_current_agrees_with_dop853(seed: int) -> None:
     """`python -m benchmarks.accuracy` compares 1,200; in 3 and 17 the plungers leave before the current ends."""
@@ -85,7 +84,9 @@ def test_a_reversed_voltage_lets_go_for_an_instant(release: float) -> None:
     assert response.first(EventKind.RELEASED) == pytest.approx(expected, abs=1e-11)
 
 
-@pytest.mark.parametrize("seed", [seed for seed in range(10) if balanced(seed)])
+@pytest.mark.parametrize(
+    "seed", [s if s < 4 else pytest.param(s, marks=pytest.mark.long) for s in range(10) if balanced(s)]
+)
 def test_the_source_pays_for_losses_field_and_motion(seed: int) -> None:
     assert imbalance(*random_case(seed), END) < 1e-9
 
@@ -119,8 +120,7 @@ def test_eddy_currents_beside_the_flux_let_the_current_jump() -> None:
     assert normalised(series, simulate(series, step(9.0), times))[0] < 1e-6
 
 
-@pytest.mark.parametrize("effects", [{}, ON, {"motional_emf": {"share": 0.0}}], ids=["without", "emf", "share 0"])
-@pytest.mark.parametrize("release", [0.7, 9.0, 40.0])
+@pytest.mark.parametrize(("effects", "release"), [({}, 0.7), (ON, 9.0), ({"motional_emf": {"share": 0.0}}, 40.0)])
 def test_a_freewheeling_current_ends(effects: dict[str, dict[str, float]], release: float) -> None:
     """At rest: after τ ln(1 + V_ref/V_r), where it stays."""
     valve = replace(CLOSED.with_values(release_voltage=release), effects=effects)
@@ -155,7 +155,7 @@ def test_eddy_currents_pull_on_when_the_diode_blocks() -> None:
     )
 
 
-@pytest.mark.parametrize("seed", [0, 4, 8, 9, 11, 13])
+@pytest.mark.parametrize("seed", [0, 8])
 def test_all_signs_mirror(seed: int) -> None:
     valve, drive = random_case(seed)
     one, other = (simulate(valve, Drive(drive.times, sign * drive.volts), TIMES) for sign in (1.0, -1.0))
@@ -218,30 +218,6 @@ def test_a_flux_that_folds_is_refused_and_the_bound_said() -> None:
     simulate(above, PULSE, TIMES)
 
 
-# --- files --------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("share", [0.0, 1.0])
-def test_a_file_declares_it_with_any_share(share: float, tmp_path: Path) -> None:
-    """0 included, which makes eddy currents parallel to the flux; what is not given is not declared."""
-    valve = replace(LIVELY.with_values(release_voltage=24.0), effects={"motional_emf": {"share": share}})
-    save_valve(tmp_path / "mine.yaml", valve, "by a test")
-    assert load_valve(tmp_path / "mine.yaml") == valve
-    (tmp_path / "not.yaml").write_text("/**: {ros__parameters: {effects: {motional_emf: {share: -1.0}}}}\n")
-    assert not load_valve(tmp_path / "not.yaml").effects
-    (tmp_path / "bad.yaml").write_text("/**: {ros__parameters: {effects: {motional_emf: {share: -0.5}}}}\n")
-    with pytest.raises(ParameterError, match=r"effects\.motional_emf\.share"):
-        load_valve(tmp_path / "bad.yaml")
-
-
-@pytest.mark.parametrize(
-    ("power", "a0", "lag"), [(20.0, 4.5418, 1.5954e-3), (12.0, 6.3319, 2.1578e-3), (8.1, 14.556, 3.9865e-3)]
-)
-def test_the_published_event_times_are_met_at_every_rated_power(power: float, a0: float, lag: float) -> None:
-    valve = replace(LIVELY.with_values(a0=a0, coil_time_constant=lag, coil_resistance=81.0 / power), effects=ON)
-    assert published_times(simulate(valve, step(9.0), [0.02])) == pytest.approx((5.3e-3, 9.9e-3), abs=1e-6)
-
-
 def test_the_shipped_valve_that_conserves_energy_meets_the_published_times() -> None:
     valve = load_valve(config_path("energy_consistent.yaml"))
     assert valve.effects == ON
@@ -269,10 +245,9 @@ def test_drives_are_what_their_names_say() -> None:
             wrong()
 
 
-@pytest.mark.parametrize("frequency", [5e3, 20e3])
-def test_the_mean_of_a_modulated_voltage_is_off_by_what_the_theory_says(frequency: float) -> None:
+def test_the_mean_of_a_modulated_voltage_is_off_by_what_the_theory_says() -> None:
     """A ripple of V D (1 − D)/(V_ref τ f) of the current, from peak to peak; its square pulls, by a twelfth, too."""
-    supply, duty, start = 22.5, 0.4, 0.0
+    supply, duty, start, frequency = 22.5, 0.4, 0.0, 5e3
     edges = simulate(LIVELY, pulse_width_modulated(supply, duty, frequency, start, 0.03), TIMES)
     mean = simulate(LIVELY, pulse_width_mean(supply, duty, start, 0.03), TIMES)
     ripple = supply * duty * (1.0 - duty) / (9.0 * 1.6e-3 * frequency)

@@ -121,8 +121,3 @@ def test_what_needs_two_plungers_or_is_in_another_unit_is_refused(values: dict[s
 def test_a_gap_that_an_effect_makes_zero_is_not_a_valve_with_one_plunger() -> None:
     with pytest.raises(ParameterError, match=r"\(with effects\): valve\.pilot_gap: found 0 m"):
         Valve.from_mapping({"effects": {"gap_offset": {"offset": -0.26e-3}}}, "mine.yaml")
-
-
-def test_the_only_mass_may_have_a_tolerance() -> None:
-    mapping = {**one_plunger().to_mapping(), "tolerances": {"moving_mass": 1e-4}}
-    assert Valve.from_mapping(mapping, "mine.yaml").tolerances.declared == {"moving_mass": 1e-4}

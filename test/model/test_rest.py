@@ -45,7 +45,7 @@ def steps(valve: Valve, until: float) -> int:
     return bisect.bisect_left(range(MOST), True, key=suffice)
 
 
-@pytest.mark.parametrize("volts", [7.0, 9.0, 12.0, 14.0])
+@pytest.mark.parametrize("volts", [7.0, 14.0])
 def test_a_valve_without_seat_load_rests_when_its_current_has_gone(volts: float) -> None:
     response = simulate(CALIBRATED, Drive.of([0.0, 0.03], [volts, 0.0]), np.arange(0.06, 20.0, 0.1))
     assert np.all(response.phase == Phase.CLOSED)
@@ -53,7 +53,7 @@ def test_a_valve_without_seat_load_rests_when_its_current_has_gone(volts: float)
     assert response.events[-1].kind is EventKind.SEATED
 
 
-@pytest.mark.parametrize("time_constant", [0.5e-3, 1e-3, 2e-3, 3e-3])
+@pytest.mark.parametrize("time_constant", [0.5e-3, 3e-3])
 def test_the_pilot_is_never_seated_and_unseated_at_one_time(time_constant: float) -> None:
     valve = CALIBRATED.with_values(coil_time_constant=time_constant)
     kinds = {}

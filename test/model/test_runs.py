@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
@@ -14,17 +13,12 @@ from valve_sim.files.parameter_files import load_valve
 from valve_sim.files.resources import config_path
 from valve_sim.model import (
     Drive,
-    Event,
     EventKind,
-    ParameterError,
     Reading,
-    Response,
     SimulationError,
     Stepper,
     Valve,
-    published_times,
     simulate,
-    simulate_many,
 )
 
 CALIBRATED = Valve().with_values(a0=3.0336, coil_time_constant=0.9934e-3)
@@ -163,17 +157,6 @@ def test_more_events_than_the_log_has_room_for_at_first_are_all_told() -> None:
     assert [event.time for event in events] == sorted(event.time for event in events)
 
 
-def test_the_first_event_of_some_kinds_is_found() -> None:
-    nothing = np.empty(0)
-    events = tuple(Event(float(at), kind, 0.0, 0.0) for at, kind in enumerate(EventKind))
-    response = Response(nothing, nothing, nothing, nothing, nothing, nothing, nothing.astype(np.uint8), events)
-    kinds = list(EventKind)
-    assert response.first(kinds[4], kinds[2]) == 2.0
-    assert math.isnan(Response(*[nothing] * 6, nothing.astype(np.uint8), ()).first(kinds[0]))
-    times = {EventKind.PICKED_UP, EventKind.HELD_AT_GAP}, {EventKind.REACHED_STOP, EventKind.BOUNCED_AT_STOP}
-    assert published_times(response) == tuple(min(kinds.index(kind) for kind in these) for these in times)
-
-
 @pytest.mark.parametrize(
     ("valve", "opens"),
     [
@@ -189,21 +172,9 @@ def test_a_valve_opens_where_the_reference_voltage_held_for_ever_lifts_it(valve:
     assert valve.can_open() is opens
 
 
-def test_of_many_valves_the_one_that_fails_is_named() -> None:
-    valves = [CALIBRATED.with_values(pilot_mass=1e-300) if number == 4 else CALIBRATED for number in range(7)]
-    with pytest.raises(SimulationError, match=r"^parameter set 4: the simulation stopped early"):
-        simulate_many(valves, STROKE, TIMES, threads=2)
-
-
 @pytest.mark.parametrize("offset", [0.0, 1e-6])
 def test_a_gap_beyond_the_stroke_is_told_before_anything_runs(offset: float) -> None:
     parameters = CALIBRATED.parameters
     effects = {"gap_offset": {"offset": parameters.stroke - parameters.pilot_gap + offset}}
     with pytest.raises(SimulationError, match=r"the simulation cannot start: pilot_gap .* is not inside stroke"):
         simulate(Valve(parameters, effects), STROKE, TIMES)
-
-
-def test_an_unknown_scalar_is_no_value_of_a_valve() -> None:
-    with pytest.raises(ParameterError, match=r"valve\.a4: no such parameter"):
-        CALIBRATED.with_values(a4=1.0)
-    assert CALIBRATED.with_values(a2=7.0).parameters.attraction_polynomial[2] == 7.0

@@ -9,7 +9,7 @@ import pytest
 
 from model.derivatives import ACCURACY, BY_QUOTIENT, PULSE, Case, errors_of
 from model.random_valves import RANGES
-from valve_sim.model import Drive, EventKind, Valve
+from valve_sim.model import Drive, Valve
 
 
 def check(case: Case, names: list[str]) -> None:
@@ -48,12 +48,6 @@ SEEDS = (4551, 982, 2106, 2134, 165, 4423, 313, 125, 3821, 94, 1084, 1557)
 def test_every_kind_of_event_is_crossed(seed: int) -> None:
     case = eventful(seed)
     check(case, case.names())
-
-
-def test_the_runs_above_cross_every_kind_of_event() -> None:
-    kinds = {event.kind for seed in SEEDS for event in eventful(seed).shown()[2]}
-    others = {EventKind.CURRENT_GONE, EventKind.FLOW_CHOKED, EventKind.FLOW_SUBSONIC, EventKind.FLOW_REVERSED}
-    assert kinds == set(EventKind) - others, "a freewheeling coil and gas are left to difference quotients"
 
 
 @pytest.mark.parametrize("name", sorted(set(RANGES) - BY_QUOTIENT))

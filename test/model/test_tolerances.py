@@ -109,10 +109,6 @@ def test_zero_means_exact_and_leaves_no_trace() -> None:
     assert "tolerances" not in valve.to_mapping()
 
 
-def test_scalars_of_any_order_are_kept_in_the_order_of_the_parameters() -> None:
-    assert list(checked(stroke=4e-6, pilot_mass=1e-3).declared) == ["pilot_mass", "stroke"]
-
-
 @pytest.mark.parametrize(
     ("tolerances", "named"),
     [

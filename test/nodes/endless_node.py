@@ -15,7 +15,6 @@ PLACES = {
     "valve_node": "nodes.valve:load_stepper",
     "monitor_node": "nodes.monitor_work:isolate_fault",
     "identification_node": "nodes.identification:fit_or_diagnose",
-    "dispenser_node": "station.dispenser:Dispenser.prepare",
     "command_profile": "nodes.profile:checked_profile",
 }
 """Module and name of what each node calculates."""
@@ -48,5 +47,4 @@ if __name__ == "__main__":
     setattr(owner, name, calculate)
     if node == "monitor_node":
         search_at_once()
-    package = "station" if node == "dispenser_node" else "nodes"
-    raise SystemExit(getattr(importlib.import_module(f"valve_sim.{package}.__main__"), node)())
+    raise SystemExit(getattr(importlib.import_module("valve_sim.nodes.__main__"), node)())

@@ -37,21 +37,13 @@ class IfElseSubstitution(NamedTuple):
         return self.if_value if values[self.condition.name] == "true" else self.else_value
 
 
-class AndSubstitution(NamedTuple):
-    """Stands for whether two arguments are true."""
-
-    left: LaunchConfiguration
-    right: LaunchConfiguration
-
-
 class IfCondition(NamedTuple):
-    configuration: LaunchConfiguration | AndSubstitution
+    configuration: LaunchConfiguration
 
     @property
     def names(self) -> set[str]:
         """The arguments that must be true."""
-        known = self.configuration
-        return {known.name} if isinstance(known, LaunchConfiguration) else {known.left.name, known.right.name}
+        return {self.configuration.name}
 
 
 class Node(NamedTuple):
@@ -121,7 +113,6 @@ def read_launch_file(path: Path) -> LaunchPlan:
         "launch.actions": {"DeclareLaunchArgument": DeclareLaunchArgument},
         "launch.conditions": {"IfCondition": IfCondition},
         "launch.substitutions": {
-            "AndSubstitution": AndSubstitution,
             "IfElseSubstitution": IfElseSubstitution,
             "LaunchConfiguration": LaunchConfiguration,
         },

@@ -15,14 +15,14 @@ from valve_sim.nodes.parameters import NodeSettings
 from valve_sim.nodes.profile_playing import ProfileSettings
 from valve_sim.nodes.settings import IdentificationSettings, MonitorNodeSettings
 from valve_sim.nodes.starting import read_files
-from valve_sim.station.tables import ArchiveSettings, DispenserSettings, OpcUaSettings, PlcSettings
+from valve_sim.station.tables import ArchiveSettings, OpcUaSettings, PlcSettings
 
 from .dumps import TOLERATED, dump
 
 TWO = ["a", "b"]
 
 
-@pytest.mark.parametrize("settings", [ArchiveSettings, DispenserSettings, OpcUaSettings, PlcSettings])
+@pytest.mark.parametrize("settings", [ArchiveSettings, OpcUaSettings, PlcSettings])
 def test_the_defaults_may_be_given_and_are_those_without_any(settings: type[NodeSettings]) -> None:
     assert settings.read({}, {}) == settings() == settings.read(dumped(settings()), {})
 
@@ -72,17 +72,8 @@ def test_a_serial_number_that_is_not_given_is_not_known() -> None:
         (ProfileSettings, {}, "profile: not given"),
         (ProfileSettings, {"profile": "x", "max_voltage": math.nan}, "expected a number at least 0 V"),
         (ProfileSettings, {"profile": "x", "patience": True}, "expected a number in s"),
-        (DispenserSettings, {"tank_pressure": 1e6}, "command line: tank_pressure: found 1000000.0 under an unknown na"),
-        (DispenserSettings, {"tank_volumes": [0.1, 0.1]}, "tank_volumes: found 2 numbers, expected 3, one for each of"),
-        (DispenserSettings, {"tank_pressures": [0.0, 1e6, 1e6]}, "command line: tank_pressures[0]: found 0"),
-        (DispenserSettings, {"valves": "tank_1/valve"}, "valves: found 'tank_1/valve', expected a list of names"),
-        (DispenserSettings, {"valves": ["a", "a", "b"]}, "valves: found a, a, b, expected each once"),
-        (
-            DispenserSettings,
-            {"fluid": "water"},
-            "fluid: found 'water', expected one of hydrogen, nitrogen, helium, air",
-        ),
-        (DispenserSettings, {"target_pressure": 1e6}, "found 1e+06 Pa, expected more than vehicle_pressure, 2e+06 Pa"),
+        (PlcSettings, {"volt": 1.0}, "command line: volt: found 1.0 under an unknown na"),
+        (PlcSettings, {"valves": "tank_1/valve"}, "valves: found 'tank_1/valve', expected a list of names"),
         (ArchiveSettings, {"years": 0.0}, "command line: years: found 0.0, expected a number from 0.01 to 100 years"),
         (ArchiveSettings, {"folder": ""}, "folder: found '', expected a text"),
         (OpcUaSettings, {"valves": TWO}, "monitors: found 1, expected 2, one for each of valves"),

@@ -13,7 +13,7 @@ from valve_sim.files.parameter_files import load_valve
 from valve_sim.files.parameter_sections import read_sections
 from valve_sim.model import ParameterError
 from valve_sim.nodes.starting import read_files
-from valve_sim.station.tables import ArchiveSettings, DispenserSettings, OpcUaSettings, PlcSettings
+from valve_sim.station.tables import ArchiveSettings, OpcUaSettings, PlcSettings
 
 from .clockwork import Clockwork
 from .launch_plan import IfElseSubstitution, LaunchConfiguration, LaunchPlan, read_launch_file
@@ -40,27 +40,6 @@ def test_each_tank_has_a_valve_and_a_monitor(plan: LaunchPlan) -> None:
         (f"/{tank}/{name}", f"{name}_node") for tank in TANKS for name in ("valve", "monitor")
     }
     assert {node.executable for node in plan.started({"monitors": "false"})} == {"valve_node"}
-
-
-def test_with_gas_there_is_a_dispenser_for_the_valves_that_are_started(plan: LaunchPlan) -> None:
-    for gas, dispenser in (("true", "false"), ("false", "true")):
-        started = plan.started({"gas": gas, "dispenser": dispenser})
-        assert "dispenser_node" not in {node.executable for node in started}
-    started = plan.started({"gas": "true", "dispenser": "true"})
-    (node_of_line,) = [node for node in started if node.executable == "dispenser_node"]
-    ((_, section),) = read_files(["", "--ros-args", "--params-file", str(node_of_line.file({}))])
-    assert section.applies_to(node_of_line.full_name)
-    settings = DispenserSettings.read(section.values, {})
-    assert settings == DispenserSettings(), "the file says what the code assumes"
-    valves = [node for node in started if node.executable == "valve_node"]
-    assert [f"/{name}" for name in settings.valves] == [node.full_name for node in valves]
-    for pressure, node in zip(settings.tank_pressures, valves, strict=True):
-        gas = load_valve(node.file({"gas": "true"})).gas
-        assert gas is not None
-        assert (gas.inlet_pressure, gas.demand_orifice_diameter) == (pressure, settings.restrictor_diameter)
-        assert (gas.discharge_coefficient, gas.inlet_temperature, gas.fluid) == (
-            settings.discharge_coefficient, settings.temperature, settings.fluid,
-        )  # fmt: skip
 
 
 def test_both_nodes_of_a_tank_have_its_parameter_file(plan: LaunchPlan) -> None:

@@ -89,7 +89,6 @@ CASES = {
     "command_profile": Case(
         "/command_profile", topics.PROFILE, ProfileSettings, "-p patience:=600.0 -p profile:={folder}/profile.csv"
     ),
-    "dispenser_node": Case("/dispenser", station.DISPENSER_TOPICS, station.DispenserSettings, ""),
     "opcua_node": Case(
         "/opcua", station.OPCUA_TOPICS, station.OpcUaSettings,
         f"{LISTS['valve']} {LISTS['monitor']} -p port:={{port}} -p folder:={{folder}}", needs="asyncua",

@@ -14,7 +14,6 @@ PROGRAMS = (
     nodes.identification_node,
     nodes.monitor_node,
     nodes.command_profile,
-    station.dispenser_node,
     station.opcua_node,
     station.plc_node,
     station.archive_node,

@@ -7,17 +7,19 @@ import itertools
 import os
 import re
 import sys
+from pathlib import Path
 from typing import Any, Final, NoReturn
 
 import click
 
 from valve_sim.cli.printing import one_line
-from valve_sim.files.ledger import keeping_ledger
 from valve_sim.invocation import invocation
 
 UNUSABLE: Final = 2
 STOPPED: Final = 130
 """Exit codes."""
+WRITTEN: Final = ("output", "plot", "junit")
+"""Options that name a file or a folder to write."""
 COMPLETE_VAR: Final = "_VALVE_SIM_COMPLETE"
 """Environment variable by which a shell asks for completions. The shipped completion scripts use this name."""
 
@@ -31,6 +33,16 @@ class Command(click.Command):
     def get_help(self, ctx: click.Context) -> str:
         """The help; its examples can be copied into this terminal."""
         return _as_typed(super().get_help(ctx))
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command, unless what it is to write cannot be written: that is said before any work."""
+        from valve_sim.files.whole_files import refuse_unwritable
+
+        for name in WRITTEN:
+            path = ctx.params.get(name)
+            if isinstance(path, Path):
+                refuse_unwritable(path / "any" if path.is_dir() else path)
+        return super().invoke(ctx)
 
 
 class CommandLine(click.Group):
@@ -47,15 +59,14 @@ class CommandLine(click.Group):
         """Run the command line and exit."""
         settings = {"prog_name": invocation(), "complete_var": COMPLETE_VAR, **settings, "standalone_mode": False}
         try:
-            with keeping_ledger() as ledger:
-                code = super().main(*arguments, **settings)
+            code = super().main(*arguments, **settings)
             sys.stdout.flush()
         except click.ClickException as error:
             context = getattr(error, "ctx", None)
             hint = f" (see {context.command_path} --help)" if context else ""
             _end(f"{one_line(error.format_message()).removesuffix('.')}{hint}")
         except click.Abort:
-            _end(one_line(f"stopped; {ledger.words()}"), STOPPED)
+            _end("stopped", STOPPED)
         except BrokenPipeError:
             # The reader of the output, such as head, has closed it; the flush at Python's exit must not complain.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -22,7 +22,6 @@ from valve_sim.cli.options import (
 from valve_sim.cli.own_plant import chosen_params, is_own, read_plant
 from valve_sim.cli.printing import print_report, progress_bar, provenance
 from valve_sim.cli.reading import declared_valve, read_recordings
-from valve_sim.files.ledger import plan_files
 
 
 @click.command(cls=Command)
@@ -89,7 +88,6 @@ def diagnose(
     from valve_sim.identification.reporting.text import diagnosis_text
 
     planned = [*(output / file for file in FILES), *([] if plot is None else [plot])]
-    plan_files(*planned)
     refuse_unwritable(*planned)
     if plant is not None and is_own(plant):
         machine, other = read_plant(plant, bags), read_plant(plant, holdout) if holdout else None

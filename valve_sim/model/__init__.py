@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from valve_sim.model.errors import ParameterError, SimulationError, ValveError
     from valve_sim.model.parameters import DECLARED, Parameter, ValveParameters
     from valve_sim.model.response import Event, Response, published_times
-    from valve_sim.model.simulation import TOLERANCE, simulate, simulate_many
+    from valve_sim.model.simulation import TOLERANCE, simulate
     from valve_sim.model.stepper import CoilReading, Reading, Stepper
     from valve_sim.model.tolerances import EXACT, Tolerances
     from valve_sim.model.valve import Valve
@@ -46,7 +46,6 @@ __all__ = [
     "ValveParameters",
     "published_times",
     "simulate",
-    "simulate_many",
 ]
 
 _MODULES: Final = {
@@ -56,7 +55,7 @@ _MODULES: Final = {
     "errors": ("ParameterError", "SimulationError", "ValveError"),
     "parameters": ("DECLARED", "Parameter", "ValveParameters"),
     "response": ("Event", "Response", "published_times"),
-    "simulation": ("TOLERANCE", "simulate", "simulate_many"),
+    "simulation": ("TOLERANCE", "simulate"),
     "stepper": ("CoilReading", "Reading", "Stepper"),
     "tolerances": ("EXACT", "Tolerances"),
     "valve": ("Valve",),

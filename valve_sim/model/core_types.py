@@ -64,4 +64,3 @@ class Outcome(enum.IntEnum):
     STEP_TOO_SMALL = 1
     TOO_MANY_STEPS = 2
     CHATTERING = 3
-    FLUX_FOLDS = 4

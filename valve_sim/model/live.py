@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Final
 
@@ -10,9 +11,8 @@ from numpy.typing import NDArray
 
 from valve_sim.model.core import layout
 from valve_sim.model.core.driver import LIVE_EVENTS
-from valve_sim.model.core.entries import ENTRIES
 from valve_sim.model.core.gas import PREFIX
-from valve_sim.model.core.plan import Plan, entry, method
+from valve_sim.model.core.plan import Plan, entry
 from valve_sim.model.core.samples import GAS_COLUMNS, ROW_COLUMNS
 from valve_sim.model.core_types import EventKind, Phase
 from valve_sim.model.response import Event
@@ -33,8 +33,7 @@ class Live:
     Attributes:
         block: parameters and state of the valve, see `layout`.
         row: the last reading, see `samples.ROW_COLUMNS`; positions are not delayed.
-        advance: the raw entry: steps to a time, s, fills `row` and returns an Outcome, 0 if all is well; a tenth of
-            the time that `step` takes.
+        advance: steps to a time, s, fills `row` and returns an Outcome, 0 if all is well.
     """
 
     def __init__(self, plan: Plan, block: Array) -> None:
@@ -45,7 +44,8 @@ class Live:
         self.block, self.row = self._memory[: layout.SIZE], self._memory[layout.SIZE : layout.SIZE + columns]
         self._events = self._memory[_EVENTS_AT:].reshape(LIVE_EVENTS, 4)
         address = self._memory.ctypes.data
-        self.advance, self._command, self._halt = (method(name).bound(address) for name in ENTRIES)
+        bound = [functools.partial(entry(name), address) for name in ("advance", "command", "halt")]
+        self.advance, self._command, self._halt = bound
 
     @classmethod
     def at_rest(cls, valve: Valve, time: float, tolerance: float) -> Live:

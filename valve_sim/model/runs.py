@@ -20,7 +20,7 @@ from valve_sim.model.simulation import TOLERANCE, check_geometry, check_outcome,
 from valve_sim.model.valve import Valve
 
 Array = NDArray[np.float64]
-WIDTHS: Final = (0, 4, 16)
+WIDTHS: Final = (0, 16)
 """Directions are carried by the processor's vectors, and each width is compiled anew: more than the last take turns."""
 _MOST: Final = WIDTHS[-1]
 NO_TIMES: Final = np.empty(0)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Final
 
@@ -13,8 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from valve_sim.model.core import layout
 from valve_sim.model.core.driver import CHANGES, LONGEST_RUN, MOST_STEPS
-from valve_sim.model.core.machine import made_once
-from valve_sim.model.core.plan import entry, method
+from valve_sim.model.core.plan import entry
 from valve_sim.model.core.samples import GAS_COLUMNS, ROW_COLUMNS
 from valve_sim.model.core_types import EventKind, Outcome
 from valve_sim.model.drives import Drive, Supply
@@ -67,37 +65,29 @@ def simulate(
     """
     times = np.ascontiguousarray(sample_times, dtype=np.float64)
     start = start_of(drive, times) if start_time is None else start_time
-    plan, count, room, columns = valve.plan(), len(times), EVENT_ROOM, columns_of(valve)
+    plan, count, room = valve.plan(), len(times), EVENT_ROOM
     numbers, commands = valve.numbers(), commands_of(drive, supply, start)
-    end = float(times[-1]) if count else -math.inf
+    end, rows = float(times[-1]) if count else -math.inf, np.empty((count, columns_of(valve)))
     while True:
-        memory = np.empty(layout.SIZE + 4 * room + columns * count)
-        outcome = _whole()(plan.blank, numbers, commands, times, memory, start, end, tolerance)
+        block = np.empty(layout.SIZE + 4 * room)
+        outcome = entry("whole")(
+            block.ctypes.data, plan.blank.ctypes.data, numbers.ctypes.data, len(numbers), commands.ctypes.data,
+            len(commands), times.ctypes.data, count, rows.ctypes.data, room, start, end, tolerance,
+        )  # fmt: skip
         if outcome:
-            check_geometry(memory)
+            check_geometry(block)
             check_outcome(outcome)
-        found = int(memory[layout.COUNT])
+        found = int(block[layout.COUNT])
         if found <= room:
             break
         room = found
-    logged = memory[layout.SIZE : layout.SIZE + 4 * found].reshape(-1, 4).tolist()
-    rows = memory[layout.SIZE + 4 * room :].reshape(count, columns)
-    outlet, flow = rows[:, ROW_COLUMNS:].T if columns > ROW_COLUMNS else (None, None)
-    # A frozen dataclass sets each of its attributes by a call; all of these together take as long as the run.
-    response = Response.__new__(Response)
-    vars(response).update(
-        time=times, pilot_position=rows[:, 0], main_position=rows[:, 1], pilot_velocity=rows[:, 2],
-        coil_current=rows[:, 8], attraction=rows[:, 3], phase=rows[:, 4].astype(np.uint8),
-        events=tuple([Event(t, _KINDS[int(kind)], x, v) for t, kind, x, v in logged]), coil_voltage=rows[:, 6],
-        has_one_plunger=bool(memory[layout.ONE_PLUNGER]), outlet_pressure=outlet, mass_flow=flow,
+    logged = block[layout.SIZE : layout.SIZE + 4 * found].reshape(-1, 4).tolist()
+    pilot, main, velocity, attraction, phase, _, voltage, _, current, *of_gas = rows.T
+    events = tuple([Event(t, _KINDS[int(kind)], x, v) for t, kind, x, v in logged])
+    return Response(
+        times, pilot, main, velocity, current, attraction, phase.astype(np.uint8), events, voltage,
+        bool(block[layout.ONE_PLUNGER]), *of_gas,
     )  # fmt: skip
-    return response
-
-
-@made_once
-def _whole() -> Any:
-    """The run of one valve, as a function of arrays."""
-    return method("whole").bound(0)
 
 
 def commands_of(drive: Drive, supply: Supply | None = None, start: float = -math.inf) -> Array:
@@ -142,8 +132,6 @@ def check_outcome(outcome: int, what: str = "") -> None:
     why = {
         Outcome.STEP_TOO_SMALL: "the forces change faster than error control can follow; look for a parameter that is "
         "many orders of magnitude off, or, with motional_emf, for a flux that does not grow with the current",
-        Outcome.FLUX_FOLDS: "motional_emf: no current follows from the flux, which must grow with it; look for a coil "
-        "time constant that is too short, or for a saturation that is too strong",
         Outcome.TOO_MANY_STEPS: f"more than {MOST_STEPS} steps a second are needed; look for a time constant that is "
         "far below a microsecond",
         Outcome.CHATTERING: "the plungers chatter without progress in time",
@@ -159,7 +147,6 @@ def run_numbers(
     *,
     tolerance: float = TOLERANCE,
     threads: int | None = None,
-    names: Sequence[int] | None = None,
 ) -> Array:
     """Pilot plunger positions of one valve with other numbers under one drive, on several threads.
 
@@ -170,7 +157,6 @@ def run_numbers(
         sample_times: (n,) s, ascending.
         tolerance: relative error of one step.
         threads: how many; default all processors.
-        names: (k,) numbers by which messages call these; default from 0 on.
 
     Returns:
         (k, n) m, as the position sensor shows it.
@@ -198,8 +184,7 @@ def run_numbers(
             shown.ctypes.data,
         )  # fmt: skip
         if done < len(chunk):
-            failed = int(chunk[0]) + done
-            check_outcome(int(room[layout.OUTCOME]), f"parameter set {failed if names is None else names[failed]}: ")
+            check_outcome(int(room[layout.OUTCOME]), f"parameter set {int(chunk[0]) + done}: ")
         return int(done)
 
     if workers == 1:
@@ -208,41 +193,6 @@ def run_numbers(
     else:
         with ThreadPoolExecutor(workers) as pool:
             list(pool.map(work, chunks))
-    return positions
-
-
-def simulate_many(
-    valves: Sequence[Valve],
-    drive: Drive,
-    sample_times: ArrayLike,
-    *,
-    tolerance: float = TOLERANCE,
-    threads: int | None = None,
-) -> Array:
-    """Pilot plunger positions of many valves under one drive, on several threads.
-
-    Args:
-        valves: (k,).
-        drive: the commanded voltage.
-        sample_times: (n,) s, ascending.
-        tolerance: relative error of one step.
-        threads: how many; default all processors.
-
-    Returns:
-        (k, n) m, as the position sensor shows it.
-
-    Raises:
-        SimulationError: a run could not be carried to its end; it names the set.
-    """
-    times = np.ascontiguousarray(sample_times, dtype=np.float64)
-    positions = np.empty((len(valves), len(times)))
-    plans = [valve.plan() for valve in valves]
-    for plan in dict.fromkeys(plans):
-        rows = [row for row, own in enumerate(plans) if own is plan]
-        numbers = np.array([valves[row].numbers() for row in rows])
-        positions[rows] = run_numbers(
-            valves[rows[0]], numbers, drive, times, tolerance=tolerance, threads=threads, names=rows
-        )
     return positions
 
 

@@ -1,4 +1,4 @@
-"""The programs of a station: `ros2 run valve_sim dispenser_node`, or `python -m valve_sim.station dispenser_node`."""
+"""The programs of a station: `ros2 run valve_sim opcua_node`, or `python -m valve_sim.station opcua_node`."""
 
 from __future__ import annotations
 
@@ -6,20 +6,6 @@ from typing import Final
 
 from valve_sim.nodes.starting import Extra, Program, chosen
 
-dispenser_node: Final = Program(
-    "dispenser_node",
-    "valve_sim.station.dispenser_node:DispenserNode",
-    """
-    dispenser_node fills simulated vehicles from the tanks of a station with gas.
-
-    It commands the valves one after the other, as a hydrogen station does in a cascade, and
-    simulates the line and the vehicle. With the valves of config/gas_tank_1.yaml to _3.yaml
-    running (ros2 launch valve_sim station.launch.py gas:=true starts them all):
-
-        dispenser_node --ros-args --params-file config/gas_dispenser.yaml
-""",
-    "docs/how_to/station.md",
-)
 opcua_node: Final = Program(
     "opcua_node",
     "valve_sim.station.opcua_node:OpcUaNode",
@@ -53,17 +39,16 @@ archive_node: Final = Program(
     "archive_node",
     "valve_sim.station.archive_node:ArchiveNode",
     """
-    archive_node keeps strokes, findings and alarms of valves for years, as Parquet files.
+    archive_node keeps strokes, findings and alarms of valves for years, in SQLite.
 
     It subscribes to what monitors and valves publish; `valve-sim history` prints what it has
-    kept. It needs the extra parquet: pip install '.[parquet]'.
+    kept.
 
         archive_node --ros-args -p folder:=archive -p valves:='[valve]' \\
             -p monitors:='[monitor]'
 """,
     "docs/how_to/archive.md",
-    needs=Extra("pyarrow", "parquet", "the archive"),
 )
 
 if __name__ == "__main__":
-    raise SystemExit(chosen(dispenser_node, opcua_node, plc_node, archive_node))
+    raise SystemExit(chosen(opcua_node, plc_node, archive_node))

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from valve_sim.model import ParameterError
-from valve_sim.model.gas import FLUIDS
 from valve_sim.nodes.parameters import NodeSettings, option
 from valve_sim.nodes.topics import LATCHED, RELIABLE, Qos, Topic
 
@@ -45,14 +44,6 @@ OPCUA_TOPICS: Final = (
     Topic("~/alarms", _DIAGNOSTICS, "out", "each alarm that a person has acknowledged", qos=Qos(100)),
 )
 PLC_TOPICS: Final = (Topic("{valve}/coil_voltage", _FLOAT, "out", "the command to each of `valves`", "V"), *LIVE)
-DISPENSER_TOPICS: Final = (
-    Topic("{valve}/outlet_pressure", _PRESSURE, "in", "behind each of `valves`", "Pa"),
-    Topic("{valve}/coil_voltage", _FLOAT, "out", "opens or closes each of `valves`", "V"),
-    Topic("{valve}/demand_pressure", _PRESSURE, "out", "the line's pressure, to each of `valves`", "Pa"),
-    Topic("{valve}/inlet_pressure", _PRESSURE, "out", "its tank's pressure, where that has a volume", "Pa"),
-    Topic("~/line_pressure", _PRESSURE, "out", "of the line that all tanks feed", "Pa"),
-    Topic("~/vehicle_pressure", _PRESSURE, "out", "of the tank that is filled", "Pa"),
-)
 
 
 @dataclass(frozen=True)
@@ -137,65 +128,6 @@ class PlcSettings(NodeSettings):
         """These settings, if each valve is named once."""
         _check_one_each(self.valves)
         _check_filled(address=self.address)
-        return self
-
-
-_ASSUMED: Final = " (assumed)"
-"""No station publishes such sizes: the defaults are a bench whose vehicle fills in ten seconds."""
-
-
-@dataclass(frozen=True)
-class DispenserSettings(NodeSettings):
-    """Settings of dispenser_node."""
-
-    program = "dispenser_node"
-
-    valves: tuple[str, ...] = option(
-        ("tank_1/valve", "tank_2/valve", "tank_3/valve"),
-        "the nodes that are commanded and heard, relative to this node's namespace; one for each tank",
-    )
-    tank_pressures: tuple[float, ...] = option(
-        (20e6, 26e6, 32e6), "of each tank at the start, as its file declares it", "Pa", 1e3, 2e8
-    )
-    tank_volumes: tuple[float, ...] = option(
-        (0.05, 0.05, 0.05), "of each tank" + _ASSUMED + "; 0: its pressure stays", "m³", 0.0, 1e3
-    )
-    restrictor_diameter: float = option(
-        0.06e-3, "of each valve's demand orifice, as its file declares it", "m", 1e-6, 0.1
-    )
-    nozzle_diameter: float = option(0.3e-3, "of the orifice between line and vehicle" + _ASSUMED, "m", 1e-6, 0.1)
-    discharge_coefficient: float = option(0.8, "C_d, of every orifice", "–", 0.05, 1.0)
-    line_volume: float = option(2e-6, "of the line" + _ASSUMED, "m³", 1e-9, 1e3)
-    vehicle_volume: float = option(10e-6, "of the tank that is filled" + _ASSUMED, "m³", 1e-9, 1e3)
-    vehicle_pressure: float = option(
-        2e6, "with which a vehicle comes, and to which the line is vented" + _ASSUMED, "Pa", 1e3, 2e8
-    )
-    target_pressure: float = option(28e6, "at which a vehicle is full" + _ASSUMED, "Pa", 1e3, 2e8)
-    least_difference: float = option(
-        1e6, "between a valve's outlet and the line; below, the next tank" + _ASSUMED, "Pa", 0.0, 2e8
-    )
-    least_flow: float = option(0.0, "from a tank; below, the next one" + _ASSUMED, "kg/s", 0.0, 1e3)
-    least_open: float = option(1.0, "that a valve stays open before the next: it opens late" + _ASSUMED, "s", 0.0, 1e3)
-    pause: float = option(3.0, "between a full vehicle and the next" + _ASSUMED, "s", 0.0, 1e6)
-    voltage: float = option(9.0, "that opens a valve", "V", 0.0, 1e4)
-    temperature: float = option(288.15, "of all gas", "K", 50.0, 1000.0)
-    fluid: str = option("hydrogen", f"one of {', '.join(FLUIDS)}", choices=tuple(FLUIDS))
-    rate: float = option(20.0, "of the pressures that are published; commands are repeated as often", "Hz", 1.0, 1000.0)
-
-    def completed(self) -> DispenserSettings:
-        """These settings, if there is one pressure and one volume for each valve."""
-        count = len(self.valves)
-        for name in ("tank_pressures", "tank_volumes"):
-            if len(getattr(self, name)) != count:
-                raise ParameterError(
-                    f"{name}: found {len(getattr(self, name))} numbers, expected {count}, one for each of valves"
-                )
-        _check_one_each(self.valves)
-        if self.target_pressure <= self.vehicle_pressure:
-            raise ParameterError(
-                f"target_pressure: found {self.target_pressure:g} Pa, expected more than vehicle_pressure, "
-                f"{self.vehicle_pressure:g} Pa"
-            )
         return self
 
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from model.core.cases import CALIBRATED, STROKE
-from model.random_valves import RANGES
 from valve_sim.model import CATALOGUE, Effect, Valve, simulate
 from valve_sim.model.core.symbols import Motion, Own
 from valve_sim.model.core.tracer import Node, exp, maximum, sin
@@ -103,10 +102,6 @@ def test_an_effect_of_one_s_own_gets_series_events_and_derivatives() -> None:
     found = simulate(valve, STROKE, TIMES)
     assert found.pilot_position == pytest.approx(exact.pilot_position, abs=2e-12)
     check_derivatives(valve, "catch", {name: 1e-5 * size for name, size in values.items()})
-
-
-def test_the_sizes_of_the_random_valves_are_of_the_catalogue() -> None:
-    assert set(RANGES) <= set(SHIPPED)
 
 
 MAP = {"low": 1e-4, "high": 1.1e-3, "coefficients": [0.3, -0.2, 0.4, 0.1, -0.3, 0.2, 0.35, -0.1]}

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from model.core.cases import CALIBRATED, STROKE, drawn
 from valve_sim.model import TOLERANCE, Stepper, Valve, simulate
-from valve_sim.model.core.samples import ROW_COLUMNS
 from valve_sim.model.core_types import Phase
 from valve_sim.model.errors import SimulationError
 from valve_sim.model.live import Live
@@ -56,21 +55,6 @@ def test_samples_do_not_depend_on_each_other(looks: list[float]) -> None:
     together = simulate(valve, STROKE, np.array([*looks, 0.031]), start_time=0.0)
     for look, shown in zip(looks, together.pilot_position, strict=False):
         assert simulate(valve, STROKE, [look], start_time=0.0).pilot_position[0] == shown
-
-
-def test_the_raw_entry_fills_the_row() -> None:
-    stepper, beside = Live.at_rest(CALIBRATED, 0.0, TOLERANCE), Stepper(CALIBRATED)
-    stepper.step(1e-3, commit=True)
-    stepper.command(9.0)
-    beside.command(1e-3, 9.0)
-    assert stepper.advance(7e-3) == 0
-    reading = beside.advance(7e-3)
-    assert len(stepper.row) == ROW_COLUMNS
-    assert stepper.row[:4].tolist() == [
-        reading.pilot_position, reading.main_position, reading.pilot_velocity, reading.attraction
-    ]  # fmt: skip
-    with pytest.raises(TypeError):
-        stepper.advance("soon")  # type: ignore[arg-type]
 
 
 def test_a_stop_that_moved_inwards_takes_the_plungers_along() -> None:

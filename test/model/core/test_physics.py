@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from model.core.cases import CALIBRATED, STROKE, drawn
-from valve_sim.model import Valve, simulate, simulate_many
+from valve_sim.model import Valve, simulate
 from valve_sim.model.core_types import EventKind, Phase
 from valve_sim.model.drives import Drive, step
 
@@ -98,15 +98,6 @@ def test_events_converge_with_the_tolerance(kind: str) -> None:
             worst[place] = max(worst[place], off)
     assert worst[1] < min(max(0.1 * worst[0], 1e-13), AT_DEFAULT)
     assert worst[2] < max(0.1 * worst[1], 1e-13)
-
-
-def test_many_valves_are_each_simulated_alone() -> None:
-    times = np.linspace(1e-3, 30e-3, 100)
-    valves = [CALIBRATED.with_values(main_damping=c) for c in np.linspace(0.0, 8.0, 40)]
-    for threads in (1, 2):
-        shown = simulate_many(valves, STROKE, times, threads=threads)
-        for valve, row in zip(valves, shown, strict=True):
-            assert np.array_equal(row, simulate(valve, STROKE, times).pilot_position)
 
 
 @pytest.mark.parametrize("tau", [0.0, 1e-13, 1e-10, 1e-7, 1e-5])

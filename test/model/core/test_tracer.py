@@ -107,17 +107,6 @@ def test_equal_expressions_are_one_node() -> None:
     assert x * 1.0 is x and -negative is x and (x * 0.0).value == 0.0
 
 
-def test_the_gradient_of_the_work_is_the_attraction() -> None:
-    trace = Trace()
-    x = trace.state("x")
-    c = [trace.number(f"a{i}") for i in range(4)]
-    work = polynomial(x, 0.0, *(a / (i + 1.0) for i, a in enumerate(c)))
-    (slope,) = derivative([work], {x: trace.constant(1.0)})
-    values = {"x": 0.7, **{f"a{i}": 1.0 + i for i in range(4)}}
-    assert slope is not None
-    assert evaluate([slope], values)[0] == pytest.approx(evaluate([polynomial(x, *c)], values)[0], rel=1e-15)
-
-
 def test_what_is_no_expression_is_refused_with_the_reason() -> None:
     x = Trace().state("x")
     with pytest.raises(ParameterError, match="expected where"):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +13,14 @@ from valve_sim.model.live import Live
 
 from .cases import gas_valve
 
-TABLE = np.loadtxt(Path(__file__).parent / "coolprop_hydrogen.csv", delimiter=",", skiprows=2)
+TABLE = (
+    (2e06, 1.6628428, 1257.6319, 771.47105),
+    (3.5e07, 23.994753, 21178.674, 12387.908),
+    (7e07, 40.172161, 40532.7, 22820.393),
+    (8.75e07, 46.475269, 49594.227, 27505.646),
+)
+"""Pressure, Pa; density, kg/m³; choked flux, and flux to 90 % of the pressure, kg/(m² s): hydrogen, 288.15 K,
+CoolProp 8.0.0, whose equation of state is that of Leachman et al., J. Phys. Chem. Ref. Data 38 (2009) 721."""
 PILOT = 0.15e-3
 """m, small enough to open at any of the pressures."""
 
@@ -28,8 +34,8 @@ def flux(inlet: float, outlet: float) -> float:
     return float(response.mass_flow[only_pilot][0]) / (0.8 * math.pi / 4.0 * PILOT**2)
 
 
-@pytest.mark.parametrize("row", TABLE, ids=[f"{1e-6 * row[0]:g} MPa" for row in TABLE])
-def test_real_hydrogen(row: np.ndarray) -> None:
+@pytest.mark.parametrize("row", TABLE, ids=lambda row: f"{1e-6 * row[0]:g} MPa")
+def test_real_hydrogen(row: tuple[float, ...]) -> None:
     pressure, density, choked, subsonic = row
     block = Live.at_rest(gas_valve(outlet_pressure=pressure), 0.0, 1e-8).block
     assert block[int(block[layout.DENSITY])] == pytest.approx(density, rel=0.012)

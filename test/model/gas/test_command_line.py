@@ -1,4 +1,4 @@
-"""`valve-sim simulate` of a valve with gas: the columns of the table, the picture, and what is refused."""
+"""`valve-sim simulate` of a valve with gas: the columns of the table, and the picture."""
 
 from __future__ import annotations
 
@@ -20,10 +20,9 @@ def simulate(folder: Path, params: Path, *options: str) -> tuple[int, str, Path]
     return result.exit_code, result.output, table
 
 
-@pytest.mark.parametrize(("tank", "opens"), [(35, 0.549), (70, 0.491)])
-def test_the_table_shows_pressure_and_flow(tmp_path: Path, tank: int, opens: float) -> None:
+def test_the_table_shows_pressure_and_flow(tmp_path: Path) -> None:
     picture = tmp_path / "opening.png"
-    code, output, table = simulate(tmp_path, config_path(f"hydrogen_{tank}mpa.yaml"), "--plot", str(picture))
+    code, output, table = simulate(tmp_path, config_path("hydrogen_70mpa.yaml"), "--plot", str(picture))
     assert code == 0, output
     assert picture.stat().st_size > 10_000
     with table.open(newline="") as stream:
@@ -32,19 +31,8 @@ def test_the_table_shows_pressure_and_flow(tmp_path: Path, tank: int, opens: flo
     time, pressure, flow, phase = (
         np.array([float(row[name]) for row in rows]) for name in ("time", "outlet_pressure", "mass_flow", "phase")
     )
-    assert time[phase == 4][0] == pytest.approx(opens, abs=2e-3)
+    assert time[phase == 4][0] == pytest.approx(0.491, abs=2e-3)
     assert pressure[0] == pytest.approx(1e5, rel=1e-12)
     assert flow[0] == 0.0
-    assert pressure[-1] == pytest.approx(tank * 1e6, rel=1e-6)
+    assert pressure[-1] == pytest.approx(70e6, rel=1e-6)
     assert flow.max() > 5e-4 and abs(flow[-1]) < 1e-6
-
-
-def test_a_pressure_force_beside_gas_is_refused(tmp_path: Path) -> None:
-    text = config_path("hydrogen_35mpa.yaml").read_text(encoding="utf-8")
-    both = tmp_path / "both.yaml"
-    effects = "    effects: {pressure_force: {force: 1.0, equalisation_time: 0.1}}\n"
-    both.write_text(text + effects, encoding="utf-8")
-    code, output, table = simulate(tmp_path, both)
-    assert code == 2
-    assert "effects.pressure_force: found beside gas" in output
-    assert not table.exists()

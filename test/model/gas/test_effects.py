@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from valve_sim.model import CATALOGUE, Drive, simulate
+from valve_sim.model import Drive, simulate
 from valve_sim.model.drives import Supply
 
 from .cases import gas_valve, independent
@@ -29,22 +29,6 @@ def test_leak_and_clogging_are_what_the_plant_says() -> None:
     # The leak fills the line before the command comes.
     assert response.mass_flow[10] > 0.0
     assert response.outlet_pressure[19] > 1.1 * valve.gas.outlet_pressure  # type: ignore[union-attr]
-
-
-def test_neutral_values_change_nothing() -> None:
-    valve = gas_valve(inlet_pressure=5e6)
-    neutral = {name: entry.neutral_values() for name, entry in CATALOGUE.items() if entry.with_gas}
-    assert len(neutral) == 2
-    shown, plain = (simulate(one, OPENING, TIMES) for one in (replace(valve, effects=neutral), valve))
-    assert shown.outlet_pressure is not None and plain.outlet_pressure is not None
-    np.testing.assert_allclose(shown.outlet_pressure, plain.outlet_pressure, rtol=1e-11)
-    np.testing.assert_allclose(shown.pilot_position, plain.pilot_position, rtol=0.0, atol=1e-12)
-
-
-def test_only_a_valve_without_gas_has_the_force_that_stands_for_pressure() -> None:
-    assert not CATALOGUE["pressure_force"].is_of(has_gas=True)
-    assert CATALOGUE["coulomb_friction"].is_of(has_gas=True)
-    assert not CATALOGUE["seat_leak"].is_of(has_gas=False)
 
 
 @pytest.mark.parametrize("falls", [0.0, 2e6])

@@ -9,7 +9,6 @@ import pytest
 from valve_sim.files.parameter_files import load_valve, save_valve, valve_from_flat
 from valve_sim.files.resources import config_path
 from valve_sim.model import ParameterError, Valve
-from valve_sim.model.gas import FLUIDS
 
 from .cases import gas_valve
 
@@ -102,9 +101,3 @@ def test_what_must_be_given_is_named() -> None:
     given = {name: value for name, value in GIVEN.items() if name != "gas.seat_diameter"}
     with pytest.raises(ParameterError, match=r"^here: gas\.seat_diameter is missing; gas needs inlet_pressure, "):
         valve_from_flat(given, "here", Valve())
-
-
-def test_every_fluid_says_where_its_numbers_are_from() -> None:
-    assert set(FLUIDS) == {"hydrogen", "nitrogen", "helium", "air"}
-    for fluid in FLUIDS.values():
-        assert "b: " in fluid.source

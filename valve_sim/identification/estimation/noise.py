@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.polynomial.legendre import legvander
@@ -14,9 +14,6 @@ from scipy.linalg.blas import dtbsv
 
 from valve_sim.identification.estimation.errors import hum
 from valve_sim.identification.plants.protocol import Channel
-from valve_sim.model.core.machine import made_once
-from valve_sim.model.core.native import native
-from valve_sim.model.core.polynomials import Block
 from valve_sim.signals.resting_noise import repeated_levels
 
 Array = NDArray[np.float64]
@@ -51,6 +48,8 @@ SETTLES: Final = 200
 """Samples after which drawn noise has forgotten how it began."""
 HUM_PASSES: Final = 3
 """Times that hum is looked for."""
+CACHED: Final = 1024
+"""Rows that are whitened at a time, so that they stay in the processor's cache."""
 COARSE: Final = 2.0
 """A quantisation step above this many standard deviations hides the noise: readings at rest then repeat."""
 
@@ -84,8 +83,16 @@ class Noise:
 
     def whiten_into(self, found: Array, columns: Array, weight: Array) -> None:
         """Whiten every column, weighted: (n, k), (n,) → `found`, (n, k), at once, because they are large."""
-        at = np.arange(len(columns))
-        self.whiten_rows(found, columns, at, np.minimum(at, len(self.coefficients)), weight / self.innovation)
+        self._filter(found, columns)
+        found *= (weight / self.innovation)[:, None]
+
+    def _filter(self, found: Array, columns: Array) -> None:
+        for start in range(0, len(columns), CACHED):
+            end = min(start + CACHED, len(columns))
+            found[start:end] = columns[start:end]
+            for lag, coefficient in enumerate(self.coefficients[:end], start=1):
+                first = max(start, lag)
+                found[first:end] -= coefficient * columns[first - lag : end - lag]
 
     def whiten_rows(
         self, found: Array, columns: Array, at: NDArray[np.intp], lags: NDArray[np.intp], scale: Array
@@ -96,42 +103,20 @@ class Noise:
             found, columns: the former is written. at: (r,) which row of the columns each is of.
             lags: (r,) over how many rows before it each is whitened; −1: over none. scale: (r,) factor of each.
         """
-        made, given = found if found.flags.c_contiguous else np.empty(found.shape), np.ascontiguousarray(columns)
-        numbers = [np.ascontiguousarray(own, dtype=np.float64) for own in (at, lags, scale, self.coefficients)]
-        _whiten()(made.ctypes.data, given.ctypes.data, *made.shape, *(own.ctypes.data for own in numbers))
-        if made is not found:
-            found[...] = made
+        white = np.empty(columns.shape)
+        self._filter(white, columns)
+        np.take(white, at, axis=0, out=found, mode="clip")
+        odd = np.flatnonzero(lags < np.minimum(at, len(self.coefficients)))
+        found[odd] = columns[at[odd]]
+        for lag, coefficient in enumerate(self.coefficients, start=1):
+            late = odd[lags[odd] >= lag]
+            found[late] -= coefficient * columns[at[late] - lag]
+        found *= scale[:, None]
 
     @property
     def is_coarse(self) -> bool:
         """Whether the quantisation step hides the noise."""
         return self.step > COARSE * self.sigma
-
-
-def whiten(
-    found: Block, columns: Block, rows: int, count: int, at: Block, lags: Block, scale: Block, coefficients: Block
-) -> None:  # fmt: skip
-    """Filter (rows, count) numbers, of rows of columns with as many, by an autoregression, and scale them."""
-    for row in range(rows):
-        out = found[row * count :]
-        place = int(at[row])
-        own = columns[place * count :]
-        for column in range(count):
-            out[column] = own[column]
-        most = int(lags[row])
-        for lag in range(1, most + 1):
-            before = columns[(place - lag) * count :]
-            coefficient = coefficients[lag - 1]
-            for column in range(count):
-                out[column] -= coefficient * before[column]
-        factor = scale[row]
-        for column in range(count):
-            out[column] *= factor
-
-
-@made_once
-def _whiten() -> Any:
-    return native(whiten)
 
 
 class Window(NamedTuple):

@@ -1,7 +1,7 @@
 """Straight-line code for the processor, as text of LLVM's intermediate representation.
 
-A value is a single double, one for each of several times side by side (`lanes`), or one for each direction of a
-derivative (`width`). Operations between a single and a wide value repeat the single one.
+A value is a single double, or one for each direction of a derivative (`width`). Operations between a single and a wide
+value repeat the single one.
 """
 
 from __future__ import annotations
@@ -38,16 +38,11 @@ class Code:
     """The body of one function of two pointers: the valve's block, and its tangents.
 
     Args:
-        lanes: how many times side by side within one step of one valve.
         width: how many directions of derivatives; 0 for none.
-        exact: whether each operation is rounded, so that it does not matter how many lanes there are.
     """
 
-    def __init__(self, lanes: int = 1, width: int = 0, *, exact: bool = False) -> None:
-        self.scalar = "double" if lanes == 1 else f"<{lanes} x double>"
-        self.wide = f"<{width} x double>"
-        self.lanes, self.width = lanes, width
-        self._flags = "" if exact else " contract"
+    def __init__(self, width: int = 0) -> None:
+        self.wide, self.width = f"<{width} x double>", width
         self.lines: list[str] = []
         self.declared: set[str] = set()
         self._repeated: dict[str, Value] = {}
@@ -60,12 +55,11 @@ class Code:
         self.lines.append(f"{name} = {instruction}")
         return Value(name, kind)
 
-    def constant(self, number: float, kind: str = "") -> Value:
-        """A number, the same in all lanes."""
-        kind = kind or self.scalar
+    def constant(self, number: float, kind: str = "double") -> Value:
+        """A number, the same in all directions."""
         if kind == "double":
             return Value(literal(number), kind)
-        count = int(kind[1:].split()[0])
+        count = int(kind[1:].split(maxsplit=1)[0])
         return Value("<" + ", ".join([f"double {literal(number)}"] * count) + ">", kind)
 
     def _place(self, slot: int, *, wide: bool = False) -> str:
@@ -73,11 +67,10 @@ class Code:
         return self.emit(f"getelementptr double, {POINTER} {pointer}, i64 {slot * step}", POINTER).text
 
     def load(self, slot: int, *, wide: bool = False) -> Value:
-        """The value in a slot of the block, the same in all lanes, or of its tangents."""
+        """The value in a slot of the block, or its tangents."""
         kind = self.wide if wide else "double"
         place, pointer = self._cast(self._place(slot, wide=wide), kind)
-        found = self.emit(f"load {kind}, {pointer} {place}, align 8", kind)
-        return found if wide else self._spread(found, self.scalar)
+        return self.emit(f"load {kind}, {pointer} {place}, align 8", kind)
 
     def store(self, slot: int, value: Value, *, wide: bool = False) -> None:
         """Put a value into a slot."""
@@ -85,19 +78,6 @@ class Code:
             value = self.repeated(value)
         place, pointer = self._cast(self._place(slot, wide=wide), value.type)
         self.lines.append(f"store {value.type} {value.text}, {pointer} {place}, align 8")
-
-    def load_lanes(self, slot: int) -> Value:
-        """The values of all lanes, from a slot on."""
-        place, pointer = self._cast(self._place(slot), self.scalar)
-        return self.emit(f"load {self.scalar}, {pointer} {place}, align 8", self.scalar)
-
-    def _spread(self, value: Value, kind: str) -> Value:
-        """A double in each lane of a type."""
-        if kind == "double":
-            return value
-        first = self.emit(f"insertelement {kind} undef, double {value.text}, i32 0", kind)
-        mask = f"<{kind[1:].split(maxsplit=1)[0]} x i32> zeroinitializer"
-        return self.emit(f"shufflevector {kind} {first.text}, {kind} undef, {mask}", kind)
 
     def _cast(self, place: str, kind: str) -> tuple[str, str]:
         """A place for values of a type, and the type of the pointer to it."""
@@ -114,7 +94,10 @@ class Code:
             if not value.text.startswith("%"):
                 number = struct.unpack("<d", struct.pack("<Q", int(value.text, 16)))[0]
                 return self.constant(number, self.wide)
-            found = self._repeated[value.text] = self._spread(value, self.wide)
+            first = self.emit(f"insertelement {self.wide} undef, double {value.text}, i32 0", self.wide)
+            mask = f"<{self.width} x i32> zeroinitializer"
+            found = self.emit(f"shufflevector {self.wide} {first.text}, {self.wide} undef, {mask}", self.wide)
+            self._repeated[value.text] = found
         return found
 
     def _matched(self, *values: Value) -> tuple[Value, ...]:
@@ -128,15 +111,15 @@ class Code:
 
     def add(self, a: Value, b: Value) -> Value:
         """The sum."""
-        return self._binary(f"fadd{self._flags}", a, b)
+        return self._binary("fadd contract", a, b)
 
     def sub(self, a: Value, b: Value) -> Value:
         """The difference."""
-        return self._binary(f"fsub{self._flags}", a, b)
+        return self._binary("fsub contract", a, b)
 
     def mul(self, a: Value, b: Value) -> Value:
         """The product."""
-        return self._binary(f"fmul{self._flags}", a, b)
+        return self._binary("fmul contract", a, b)
 
     def div(self, a: Value, b: Value) -> Value:
         """The quotient."""
@@ -161,7 +144,7 @@ class Code:
         return self.emit(f"call {kind} @llvm.{name}.{suffix}({given})", kind)
 
     def library(self, name: str, a: Value) -> Value:
-        """One of the functions of C's mathematics that LLVM does not know: expm1, log1p; of each lane in turn."""
+        """One of the functions of C's mathematics that LLVM does not know: expm1, log1p; of each direction in turn."""
         self.declared.add(f"declare double @{name}(double)")
         if a.type == "double":
             return self.emit(f"call double @{name}(double {a.text})", "double")
@@ -199,7 +182,7 @@ class Code:
         return self.select(self.compare("ogt", a, b), a, b)
 
     def exp(self, a: Value) -> Value:
-        """The exponential function, for any number of lanes: 2ⁿ times the series of exp of what is left of a."""
+        """The exponential function, 2ⁿ times the series of exp of what is left of a."""
         bounded = self.larger(self.smaller(a, self.constant(709.0, a.type)), self.constant(-709.0, a.type))
         n = self.call("rint", self.mul(bounded, self.constant(1.0 / math.log(2.0), a.type)))
         rest = self.fma(n, self.constant(-_LN2_HIGH, a.type), bounded)

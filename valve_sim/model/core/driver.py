@@ -16,67 +16,16 @@ from __future__ import annotations
 from typing import Final
 
 from valve_sim.model.core import events, gas_steps, modes, polynomials, samples, steps
+from valve_sim.model.core import layout as at
 from valve_sim.model.core.events import arrive, end_step, leave, set_voltage
 from valve_sim.model.core.gas_steps import finish_gas_step, know_rate, regime_at, rest_at, take_gas_step
-from valve_sim.model.core.layout import (
-    AT,
-    CHANGED,
-    CHATTER,
-    COMPLIANCE,
-    CURRENT,
-    DECLARED_DEMAND,
-    DECLARED_TANK,
-    DELTA,
-    DEMAND,
-    DENSITY,
-    ELAPSED,
-    ENDS,
-    FIRST_DENSITY,
-    GAIN,
-    GAP,
-    GAS_KNOWN,
-    MASS_FLOW,
-    MODE,
-    MOVING,
-    NO_EVENT,
-    NUMBER_COUNT,
-    NUMBERS,
-    ONE_PLUNGER,
-    OUTCOME,
-    OUTLET,
-    PENDING,
-    PREPARE,
-    PULL,
-    RATED,
-    REGIME,
-    ROW,
-    ROW_V,
-    ROW_X,
-    SAMPLED,
-    SAMPLED_ROWS,
-    SERIES_X,
-    SIZE,
-    STEP,
-    STROKE,
-    TANK,
-    TANK_RATE,
-    TANK_TIME,
-    TERMINAL,
-    TIME,
-    TOLERANCE,
-    UNSEATED_TIME,
-    VOLTS,
-    WIDTH,
-    V,
-    X,
-)  # fmt: skip
 from valve_sim.model.core.modes import GAP_HOLD, MAIN, OPEN, PILOT, RIGID, before, enter, set_tangents
 from valve_sim.model.core.polynomials import Block, invoke
-from valve_sim.model.core.samples import GAS_COLUMNS, ROW_COLUMNS, fill, shown_main, shown_pilot
+from valve_sim.model.core.samples import GAS_COLUMNS, ROW_COLUMNS, fill, fill_row, shown_main, shown_pilot
 from valve_sim.model.core.steps import commit, step
 from valve_sim.model.core_types import Outcome
 
-FINISHED, STEP_TOO_SMALL, TOO_MANY_STEPS, CHATTERING = (int(outcome) for outcome in list(Outcome)[:4])
+FINISHED, STEP_TOO_SMALL, TOO_MANY_STEPS, CHATTERING = (int(outcome) for outcome in Outcome)
 SHORTEST_PROGRESS: Final = 1e-12
 LONGEST_CHATTER: Final = 1000
 """Steps in a row that are shorter, s, after which a run ends with an error."""
@@ -96,36 +45,36 @@ CHANGES: Final = 5
 
 def start_gas(b: Block, t: Block) -> None:
     """Put the declared gas into the outlet of a valve at rest, and the declared pressures at both ends."""
-    b[TANK] = b[DECLARED_TANK]
-    b[TANK_RATE] = 0.0
-    b[TANK_TIME] = b[TIME]
-    b[DEMAND] = b[DECLARED_DEMAND]
-    b[int(b[DENSITY])] = b[FIRST_DENSITY]
-    set_tangents(b, t, TANK, DECLARED_TANK, 1.0)
-    set_tangents(b, t, DEMAND, DECLARED_DEMAND, 1.0)
-    set_tangents(b, t, int(b[DENSITY]), FIRST_DENSITY, 1.0)
+    b[at.TANK] = b[at.DECLARED_TANK]
+    b[at.TANK_RATE] = 0.0
+    b[at.TANK_TIME] = b[at.TIME]
+    b[at.DEMAND] = b[at.DECLARED_DEMAND]
+    b[int(b[at.DENSITY])] = b[at.FIRST_DENSITY]
+    set_tangents(b, t, at.TANK, at.DECLARED_TANK, 1.0)
+    set_tangents(b, t, at.DEMAND, at.DECLARED_DEMAND, 1.0)
+    set_tangents(b, t, int(b[at.DENSITY]), at.FIRST_DENSITY, 1.0)
 
 
 def settle_flow(b: Block, t: Block) -> None:
     """Decide afresh what the flow of gas does at the state, of a valve whose pressures are set."""
     rest_at(b, t)
-    b[REGIME] = 0.0
-    b[REGIME] = regime_at(b, t, 0.0, 0.0, 0.0)
+    b[at.REGIME] = 0.0
+    b[at.REGIME] = regime_at(b, t, 0.0, 0.0, 0.0)
 
 
 def supply(b: Block, t: Block, change: Block) -> None:
     """Pressures change now: of the tank, Pa, and its rate, Pa/s, and behind the demand, Pa; NaN where one does not."""
-    b[GAS_KNOWN] = 0.0
+    b[at.GAS_KNOWN] = 0.0
     if change[0] == change[0]:
-        b[TANK] = change[0]
-        b[TANK_RATE] = change[1]
-        b[TANK_TIME] = b[TIME]
-        set_tangents(b, t, TANK, TANK, 0.0)
-        set_tangents(b, t, TANK_TIME, DELTA, 1.0)
+        b[at.TANK] = change[0]
+        b[at.TANK_RATE] = change[1]
+        b[at.TANK_TIME] = b[at.TIME]
+        set_tangents(b, t, at.TANK, at.TANK, 0.0)
+        set_tangents(b, t, at.TANK_TIME, at.DELTA, 1.0)
     if change[2] == change[2]:
-        b[DEMAND] = change[2]
-        set_tangents(b, t, DEMAND, DEMAND, 0.0)
-    b[PENDING] = 0.0
+        b[at.DEMAND] = change[2]
+        set_tangents(b, t, at.DEMAND, at.DEMAND, 0.0)
+    b[at.PENDING] = 0.0
 
 
 def run(
@@ -149,15 +98,15 @@ def run(
     """
     others = count if columns > 1 else current_count
     for _ in range(most):
-        if b[PENDING] == 0.0:
-            if b[TIME] >= end and b[SAMPLED] >= count and b[SAMPLED_ROWS] >= others:
+        if b[at.PENDING] == 0.0:
+            if b[at.TIME] >= end and b[at.SAMPLED] >= count and b[at.SAMPLED_ROWS] >= others:
                 return FINISHED
             ends = step(b, t)
             if ends < 0:
                 return STEP_TOO_SMALL
-            b[ENDS] = ends
-            b[PENDING] = 1.0
-        following = b[TIME] + b[STEP]
+            b[at.ENDS] = ends
+            b[at.PENDING] = 1.0
+        following = b[at.TIME] + b[at.STEP]
         if count + others > 0:
             # A sample at the very end of a step is of the next one, as it is live: that has what happens there.
             last = end if following > end else before(following)
@@ -166,31 +115,31 @@ def run(
             )
         if following > end:
             if cuts:
-                if end > b[TIME]:
+                if end > b[at.TIME]:
                     cut(b, t, end)
-                b[PENDING] = 0.0
+                b[at.PENDING] = 0.0
             return FINISHED
-        b[CHATTER] = b[CHATTER] + 1.0 if b[STEP] < SHORTEST_PROGRESS else 0.0
-        if b[CHATTER] > LONGEST_CHATTER:
+        b[at.CHATTER] = b[at.CHATTER] + 1.0 if b[at.STEP] < SHORTEST_PROGRESS else 0.0
+        if b[at.CHATTER] > LONGEST_CHATTER:
             return CHATTERING
-        ends = int(b[ENDS])
+        ends = int(b[at.ENDS])
         commit(b, t, following)
-        if ends != NO_EVENT:
+        if ends != at.NO_EVENT:
             end_step(b, t, ends, events, room)
-        elif b[DENSITY] > 0.0:
+        elif b[at.DENSITY] > 0.0:
             know_rate(b, t)
     return TOO_MANY_STEPS
 
 
 def cut(b: Block, t: Block, end: float) -> None:
     """End the step that is under way at a time, s, before a command; with gas it is made anew, to be as exact."""
-    if b[DENSITY] > 0.0:
-        take_gas_step(b, t, end - b[TIME])
+    if b[at.DENSITY] > 0.0:
+        take_gas_step(b, t, end - b[at.TIME])
         finish_gas_step(b, t)
-        b[GAS_KNOWN] = 0.0
+        b[at.GAS_KNOWN] = 0.0
     else:
-        b[ELAPSED] = end - b[TIME]
-        invoke(b[AT], b, t)
+        b[at.ELAPSED] = end - b[at.TIME]
+        invoke(b[at.AT], b, t)
     commit(b, t, end)
 
 
@@ -206,11 +155,11 @@ def drive(
             see `supply`; NaN where something does not change. What is before the state's time was so from the start.
         moves: with derivatives, those of time and voltage: (commands, 2, directions).
     """
-    width = int(b[WIDTH])
+    width = int(b[at.WIDTH])
     for command in range(command_count):
         change = commands[CHANGES * command :]
         when = change[0]
-        is_new = when >= b[TIME]
+        is_new = when >= b[at.TIME]
         if when > end:
             break
         outcome = run(
@@ -221,14 +170,14 @@ def drive(
             return outcome
         own = moves[2 * command * width :]
         for k in range(width):
-            t[DELTA * width + k] = own[k]
+            t[at.DELTA * width + k] = own[k]
         if is_new:
-            leave(b, t, NO_EVENT)
+            leave(b, t, at.NO_EVENT)
         if change[1] == change[1]:
             for k in range(width):
-                t[VOLTS * width + k] = own[width + k]
+                t[at.VOLTS * width + k] = own[width + k]
             set_voltage(b, t, change[1])
-        if b[DENSITY] > 0.0:
+        if b[at.DENSITY] > 0.0:
             supply(b, t, change[2:])
         if is_new:
             arrive(b, t)
@@ -244,14 +193,14 @@ def renumber(b: Block, t: Block, numbers: Block, slopes: Block) -> None:
     Args:
         numbers: of the valve. slopes: with derivatives, the tangents of these: (numbers, directions).
     """
-    leave(b, t, NO_EVENT)
-    width = int(b[WIDTH])
-    count = int(b[NUMBER_COUNT])
+    leave(b, t, at.NO_EVENT)
+    width = int(b[at.WIDTH])
+    count = int(b[at.NUMBER_COUNT])
     for i in range(count):
-        b[NUMBERS + i] = numbers[i]
+        b[at.NUMBERS + i] = numbers[i]
     for i in range(count * width):
-        t[NUMBERS * width + i] = slopes[i]
-    invoke(b[PREPARE], b, t)
+        t[at.NUMBERS * width + i] = slopes[i]
+    invoke(b[at.PREPARE], b, t)
     enter(b, t)
     arrive(b, t)
 
@@ -262,43 +211,40 @@ def start(b: Block, t: Block, blank: Block, numbers: Block, count: int, time: fl
     Args:
         blank: the block of no valve in particular, with the addresses of its kernels. numbers: `count` of the valve.
     """
-    for i in range(SERIES_X):
+    for i in range(at.SERIES_X):
         b[i] = blank[i]
     for i in range(count):
-        b[NUMBERS + i] = numbers[i]
-    b[TIME] = time
-    b[UNSEATED_TIME] = time
-    invoke(b[PREPARE], b, t)
-    b[ONE_PLUNGER] = 1.0 if b[GAP] == 0.0 else 0.0
-    if b[DENSITY] > 0.0:
-        b[CHANGED] = time
+        b[at.NUMBERS + i] = numbers[i]
+    b[at.TIME] = time
+    b[at.UNSEATED_TIME] = time
+    invoke(b[at.PREPARE], b, t)
+    b[at.ONE_PLUNGER] = 1.0 if b[at.GAP] == 0.0 else 0.0
+    if b[at.DENSITY] > 0.0:
+        b[at.CHANGED] = time
         start_gas(b, t)
     enter(b, t)
-    if b[DENSITY] > 0.0:
+    if b[at.DENSITY] > 0.0:
         settle_flow(b, t)
 
 
 def whole(
-    blank: Block, blank_count: int, numbers: Block, number_count: int, commands: Block, command_doubles: int,
-    times: Block, count: int, memory: Block, memory_count: int, time: float, end: float, tolerance: float,
+    b: Block, blank: Block, numbers: Block, number_count: int, commands: Block, command_count: int, times: Block,
+    count: int, rows: Block, room: int, time: float, end: float, tolerance: float,
 ) -> int:  # fmt: skip
     """Run one valve that rests closed and without current at a time, s, through a drive; returns an Outcome.
 
     Args:
-        blank, numbers: as for `start`. commands, times, end: as for `drive`. tolerance: relative error of one step.
-        memory: room for the block, for as many events as are left room for, and for whole rows of output at its end.
+        b: room for the block, and behind it for `room` events. tolerance: relative error of one step.
+        blank, numbers: as for `start`. commands, times, end: as for `drive`. rows: whole ones.
     """
-    start(memory, memory, blank, numbers, number_count, time)
-    memory[TOLERANCE] = tolerance
-    columns = GAS_COLUMNS if memory[DENSITY] > 0.0 else ROW_COLUMNS
-    rows = memory_count - columns * count
-    room = (rows - SIZE) // 4
-    if not (0.0 <= memory[GAP] < memory[STROKE]):
+    start(b, b, blank, numbers, number_count, time)
+    b[at.TOLERANCE] = tolerance
+    if not (0.0 <= b[at.GAP] < b[at.STROKE]):
         return NO_TRAVEL
+    columns = GAS_COLUMNS if b[at.DENSITY] > 0.0 else ROW_COLUMNS
     most = int(MOST_STEPS * (1.0 + min(max(0.0, end - time), LONGEST_RUN)))
     return drive(
-        memory, memory, commands, command_doubles // CHANGES, end, most, times, count, memory[rows:], columns,
-        memory, times, 0, memory, memory, memory, memory[SIZE:], room,
+        b, b, commands, command_count, end, most, times, count, rows, columns, b, times, 0, b, b, b, b[at.SIZE:], room
     )  # fmt: skip
 
 
@@ -317,28 +263,18 @@ def batch(
             b, b, commands, command_count, end, most, times, count, rows[valve * count :], 1, b, times, 0, b, b, b, b, 0
         )
         if outcome != FINISHED:
-            b[OUTCOME] = outcome
+            b[at.OUTCOME] = outcome
             return valve
     return valves
 
 
 def read(b: Block, t: Block, time: float, row: Block) -> None:
     """Fill a row of ROW_COLUMNS at a time within the step that is under way, without the sensor's delay."""
-    h = max(0.0, time - b[TIME])
-    row[0] = b[GAIN] * shown_pilot(b, h)
-    row[1] = b[GAIN] * shown_main(b, h)
-    b[ELAPSED] = h
-    invoke(b[ROW], b, t)
-    row[2] = b[ROW_V]
-    row[3] = b[PULL]
-    row[4] = b[MODE]
-    row[5] = b[ROW_X]
-    row[6] = b[TERMINAL]
-    row[7] = b[CURRENT]
-    row[8] = b[CURRENT] * b[RATED]
-    if b[DENSITY] > 0.0:
-        row[9] = b[OUTLET]
-        row[10] = b[MASS_FLOW]
+    h = max(0.0, time - b[at.TIME])
+    row[0] = b[at.GAIN] * shown_pilot(b, h)
+    row[1] = b[at.GAIN] * shown_main(b, h)
+    b[at.ELAPSED] = h
+    fill_row(b, t, row)
 
 
 def advance(b: Block, time: float) -> int:
@@ -347,13 +283,13 @@ def advance(b: Block, time: float) -> int:
     Args:
         b: its block; behind it a row of output, and room for LIVE_EVENTS events, of which COUNT have been counted.
     """
-    row = b[SIZE:]
-    events = b[SIZE + GAS_COLUMNS :]
+    row = b[at.SIZE :]
+    events = b[at.SIZE + GAS_COLUMNS :]
     outcome = run(b, b, time, False, LIVE_STEPS, row, 0, row, 1, row, row, 0, row, row, events, LIVE_EVENTS)
-    if outcome == FINISHED and b[PENDING] == 0.0:
-        b[ENDS] = step(b, b)
-        b[PENDING] = 1.0
-        if b[ENDS] < 0.0:
+    if outcome == FINISHED and b[at.PENDING] == 0.0:
+        b[at.ENDS] = step(b, b)
+        b[at.PENDING] = 1.0
+        if b[at.ENDS] < 0.0:
             outcome = STEP_TOO_SMALL
     if outcome == FINISHED:
         read(b, b, time, row)
@@ -362,14 +298,14 @@ def advance(b: Block, time: float) -> int:
 
 def halt(b: Block, time: float) -> int:
     """Step a live valve exactly to a time, s; returns an Outcome."""
-    row = b[SIZE:]
-    events = b[SIZE + GAS_COLUMNS :]
+    row = b[at.SIZE :]
+    events = b[at.SIZE + GAS_COLUMNS :]
     return run(b, b, time, True, LIVE_STEPS, row, 0, row, 1, row, row, 0, row, row, events, LIVE_EVENTS)
 
 
 def command(b: Block, time: float, volts: float) -> int:
     """Command a live valve: a voltage in force from a time on, or from where it is; reads it there, see `advance`."""
-    when = max(time, b[TIME])
+    when = max(time, b[at.TIME])
     outcome = halt(b, when)
     if outcome != FINISHED:
         return outcome
@@ -384,23 +320,23 @@ def set_pressures(b: Block, change: Block) -> None:
 
 def settle(b: Block) -> None:
     """Make a state agree with another valve: only a contact or a blocking diode makes it jump."""
-    at_contact = b[MOVING] == 0.0 and (b[MODE] == GAP_HOLD or b[MODE] == OPEN)
-    contact = b[STROKE] if b[MODE] == OPEN else b[GAP]
-    if b[COMPLIANCE] <= RIGID:
-        b[X] = min(b[X], b[STROKE])
-    if at_contact and b[X] != contact:
+    at_contact = b[at.MOVING] == 0.0 and (b[at.MODE] == GAP_HOLD or b[at.MODE] == OPEN)
+    contact = b[at.STROKE] if b[at.MODE] == OPEN else b[at.GAP]
+    if b[at.COMPLIANCE] <= RIGID:
+        b[at.X] = min(b[at.X], b[at.STROKE])
+    if at_contact and b[at.X] != contact:
         # The contact has gone: at rest between contacts, free to move off.
-        b[MODE] = MAIN if b[X] >= b[GAP] else PILOT
-    elif (b[MODE] == OPEN and b[X] < b[STROKE]) or (b[MODE] == PILOT and b[X] >= b[GAP]):
-        b[MODE] = MAIN
-    elif b[MODE] == MAIN and b[X] < b[GAP]:
-        b[MODE] = PILOT
-    if b[MODE] == MAIN and b[X] >= b[STROKE] and b[V] >= 0.0:
-        b[MODE] = OPEN
-        if b[COMPLIANCE] <= RIGID:
-            b[MOVING] = 0.0
-            b[V] = 0.0
-    set_voltage(b, b, b[VOLTS])
+        b[at.MODE] = MAIN if b[at.X] >= b[at.GAP] else PILOT
+    elif (b[at.MODE] == OPEN and b[at.X] < b[at.STROKE]) or (b[at.MODE] == PILOT and b[at.X] >= b[at.GAP]):
+        b[at.MODE] = MAIN
+    elif b[at.MODE] == MAIN and b[at.X] < b[at.GAP]:
+        b[at.MODE] = PILOT
+    if b[at.MODE] == MAIN and b[at.X] >= b[at.STROKE] and b[at.V] >= 0.0:
+        b[at.MODE] = OPEN
+        if b[at.COMPLIANCE] <= RIGID:
+            b[at.MOVING] = 0.0
+            b[at.V] = 0.0
+    set_voltage(b, b, b[at.VOLTS])
 
 
 FUNCTIONS: Final = (

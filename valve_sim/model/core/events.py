@@ -10,71 +10,8 @@ from __future__ import annotations
 
 from typing import Final
 
+from valve_sim.model.core import layout as at
 from valve_sim.model.core.gas_steps import FIRST_STEP
-from valve_sim.model.core.layout import (
-    ACCELERATION,
-    AHEAD,
-    BEYOND,
-    BLOCKED,
-    CHANGED,
-    CLOSING,
-    COIL,
-    COIL_RATES,
-    COMPLIANCE,
-    CONTACT,
-    COUNT,
-    CURRENT,
-    CURRENT_GONE,
-    CURRENT_RATE,
-    CURVE,
-    CURVE_INDEX,
-    DELTA,
-    DENSITY,
-    DIRECTION,
-    DOWN,
-    DOWN_RATE,
-    EDDY,
-    FALL,
-    FLAG,
-    FLAGGED,
-    FLOW_SWITCHED,
-    FREEWHEELS,
-    GAS_KNOWN,
-    GAS_STEP,
-    HAS_PEAK,
-    HIGH_GUARD,
-    IS_FLUX,
-    LAG,
-    LIFTED,
-    LOOK,
-    LOW_GUARD,
-    MODE,
-    MOVING,
-    NET,
-    NO_EVENT,
-    ONE_PLUNGER,
-    PATH,
-    PEAK,
-    RATIO,
-    REGIME,
-    REGIME_AHEAD,
-    RELEASE,
-    RESTITUTION_SEAT,
-    RESTITUTION_STOP,
-    RISE,
-    SEEN,
-    STATES,
-    STEP,
-    TIME,
-    TURN,
-    UNSEATED_TIME,
-    UP,
-    UP_RATE,
-    VOLTS,
-    WIDTH,
-    V,
-    X,
-)  # fmt: skip
 from valve_sim.model.core.modes import (
     CLOSED,
     GAP_HOLD,
@@ -115,142 +52,142 @@ def leave(b: Block, t: Block, ends: int) -> None:
     That of a command, NO_EVENT, is known. A comparison that changes changes nothing at once: its δ does not matter.
     What a jump of the force at the event before sets off at once has the δ of that event.
     """
-    width = int(b[WIDTH])
+    width = int(b[at.WIDTH])
     if width == 0:
         return
-    invoke(b[LOOK], b, t)
+    invoke(b[at.LOOK], b, t)
     ahead = contact_ahead(b)
     for k in range(width):
         delta = 0.0
-        if ends == NO_EVENT or (b[STEP] == 0.0 and max(b[UP], b[DOWN]) > JUMPED):
-            delta = t[DELTA * width + k]
-        elif ends == CONTACT:
-            delta = divided(t[ahead * width + k] - t[X * width + k], b[V])
-        elif ends == TURN:
-            delta = divided(-t[V * width + k], b[ACCELERATION])
-        elif ends == RISE:
-            delta = divided(-t[UP * width + k], b[UP_RATE])
-        elif ends == FALL:
-            delta = divided(-t[DOWN * width + k], b[DOWN_RATE])
-        elif ends == CURRENT_GONE:
-            delta = divided(-t[CURRENT * width + k], b[CURRENT_RATE])
-        t[DELTA * width + k] = delta
+        if ends == at.NO_EVENT or (b[at.STEP] == 0.0 and max(b[at.UP], b[at.DOWN]) > JUMPED):
+            delta = t[at.DELTA * width + k]
+        elif ends == at.CONTACT:
+            delta = divided(t[ahead * width + k] - t[at.X * width + k], b[at.V])
+        elif ends == at.TURN:
+            delta = divided(-t[at.V * width + k], b[at.ACCELERATION])
+        elif ends == at.RISE:
+            delta = divided(-t[at.UP * width + k], b[at.UP_RATE])
+        elif ends == at.FALL:
+            delta = divided(-t[at.DOWN * width + k], b[at.DOWN_RATE])
+        elif ends == at.CURRENT_GONE:
+            delta = divided(-t[at.CURRENT * width + k], b[at.CURRENT_RATE])
+        t[at.DELTA * width + k] = delta
     move_tangents(b, t, 1.0)
-    if b[HAS_PEAK] > 0.0 and b[PEAK] == abs(b[CURRENT]):
-        rate = b[CURRENT_RATE] if b[CURRENT] > 0.0 else -b[CURRENT_RATE]
+    if b[at.HAS_PEAK] > 0.0 and b[at.PEAK] == abs(b[at.CURRENT]):
+        rate = b[at.CURRENT_RATE] if b[at.CURRENT] > 0.0 else -b[at.CURRENT_RATE]
         for k in range(width):
-            t[PEAK * width + k] += rate * t[DELTA * width + k]
+            t[at.PEAK * width + k] += rate * t[at.DELTA * width + k]
 
 
 def arrive(b: Block, t: Block) -> None:
     """Move the tangents of the states back from where the event is."""
-    if b[WIDTH] > 0.0:
-        invoke(b[LOOK], b, t)
+    if b[at.WIDTH] > 0.0:
+        invoke(b[at.LOOK], b, t)
         move_tangents(b, t, -1.0)
 
 
 def move_tangents(b: Block, t: Block, way: float) -> None:
     """Add to the tangents of the states their rates times δ, times `way`."""
-    width = int(b[WIDTH])
-    states = int(b[STATES])
+    width = int(b[at.WIDTH])
+    states = int(b[at.STATES])
     for k in range(width):
-        delta = way * t[DELTA * width + k]
-        if b[MOVING] > 0.0:
-            t[X * width + k] += b[V] * delta
-            t[V * width + k] += b[ACCELERATION] * delta
+        delta = way * t[at.DELTA * width + k]
+        if b[at.MOVING] > 0.0:
+            t[at.X * width + k] += b[at.V] * delta
+            t[at.V * width + k] += b[at.ACCELERATION] * delta
         for i in range(states):
-            t[(COIL + i) * width + k] += b[COIL_RATES + i] * delta
+            t[(at.COIL + i) * width + k] += b[at.COIL_RATES + i] * delta
 
 
 def rescale_velocity(b: Block, t: Block, ratio: int, way: float) -> None:
     """Multiply the velocity by the number in the slot `ratio` and by `way`, which is 1 or −1."""
-    width = int(b[WIDTH])
+    width = int(b[at.WIDTH])
     for k in range(width):
-        t[V * width + k] = way * (b[ratio] * t[V * width + k] + t[ratio * width + k] * b[V])
-    b[V] = way * b[ratio] * b[V]
+        t[at.V * width + k] = way * (b[ratio] * t[at.V * width + k] + t[ratio * width + k] * b[at.V])
+    b[at.V] = way * b[ratio] * b[at.V]
 
 
 def unseat(b: Block, t: Block) -> None:
     """The pilot plunger leaves its seat now."""
-    b[UNSEATED_TIME] = b[TIME]
-    set_tangents(b, t, UNSEATED_TIME, DELTA, 1.0)
+    b[at.UNSEATED_TIME] = b[at.TIME]
+    set_tangents(b, t, at.UNSEATED_TIME, at.DELTA, 1.0)
 
 
 def log_event(b: Block, events: Block, room: int, kind: int, v: float) -> None:
     """Note an event, if there is room, and count it."""
-    count = int(b[COUNT])
+    count = int(b[at.COUNT])
     if count < room:
         event = events[4 * count :]
-        event[0] = b[TIME]
+        event[0] = b[at.TIME]
         event[1] = kind
-        event[2] = b[X]
+        event[2] = b[at.X]
         event[3] = v
-    b[COUNT] = count + 1
+    b[at.COUNT] = count + 1
 
 
 def come_to_rest(b: Block, t: Block, mode: int) -> None:
     """The plungers stay where they are."""
-    b[MODE] = mode
-    b[MOVING] = 0.0
-    b[V] = 0.0
-    set_tangents(b, t, V, V, 0.0)
+    b[at.MODE] = mode
+    b[at.MOVING] = 0.0
+    b[at.V] = 0.0
+    set_tangents(b, t, at.V, at.V, 0.0)
     enter(b, t)
 
 
 def set_off(b: Block, t: Block, mode: int, direction: float) -> None:
     """The plungers move from rest."""
-    if b[MODE] == CLOSED:
+    if b[at.MODE] == CLOSED:
         unseat(b, t)
-    b[MODE] = mode
-    b[MOVING] = 1.0
-    b[DIRECTION] = direction
-    b[GAS_STEP] = FIRST_STEP
+    b[at.MODE] = mode
+    b[at.MOVING] = 1.0
+    b[at.DIRECTION] = direction
+    b[at.GAS_STEP] = FIRST_STEP
     enter(b, t)
 
 
 def move_off(b: Block, t: Block, ends: int, events: Block, room: int) -> None:
     """Set plungers at rest in motion, in the mode that follows."""
-    mode = int(b[MODE])
+    mode = int(b[at.MODE])
     if mode == CLOSED:
-        set_off(b, t, MAIN if b[ONE_PLUNGER] > 0.0 else PILOT, 1.0)
+        set_off(b, t, MAIN if b[at.ONE_PLUNGER] > 0.0 else PILOT, 1.0)
         log_event(b, events, room, UNSEATED, 0.0)
-    elif mode == OPEN and b[BEYOND] == 0.0:
+    elif mode == OPEN and b[at.BEYOND] == 0.0:
         set_off(b, t, MAIN, -1.0)
         log_event(b, events, room, RELEASED, 0.0)
     elif mode == GAP_HOLD:
-        if ends == RISE:
+        if ends == at.RISE:
             set_off(b, t, MAIN, 1.0)
             log_event(b, events, room, LIFTED_OFF, 0.0)
         else:
             set_off(b, t, PILOT, -1.0)
             log_event(b, events, room, DROPPED, 0.0)
     else:
-        set_off(b, t, mode, 1.0 if ends == RISE else -1.0)
+        set_off(b, t, mode, 1.0 if ends == at.RISE else -1.0)
         log_event(b, events, room, BROKE_AWAY, 0.0)
 
 
 def touch(b: Block, t: Block, events: Block, room: int) -> None:
     """A contact: pick-up, hold, stop, seat; the state is at the contact with the velocity before it."""
-    v = b[V]
-    mode = int(b[MODE])
+    v = b[at.V]
+    mode = int(b[at.MODE])
     if mode == OPEN:
-        b[MODE] = MAIN
+        b[at.MODE] = MAIN
         enter(b, t)
         log_event(b, events, room, RELEASED, v)
-    elif mode == MAIN and b[DIRECTION] > 0.0:
-        if b[COMPLIANCE] > RIGID:
-            b[MODE] = OPEN
+    elif mode == MAIN and b[at.DIRECTION] > 0.0:
+        if b[at.COMPLIANCE] > RIGID:
+            b[at.MODE] = OPEN
             enter(b, t)
             log_event(b, events, room, REACHED_STOP, v)
-        elif b[RESTITUTION_STOP] > 0.0 and abs(v) >= SLOWEST_REBOUND:
-            rescale_velocity(b, t, RESTITUTION_STOP, -1.0)
-            b[DIRECTION] = -1.0
+        elif b[at.RESTITUTION_STOP] > 0.0 and abs(v) >= SLOWEST_REBOUND:
+            rescale_velocity(b, t, at.RESTITUTION_STOP, -1.0)
+            b[at.DIRECTION] = -1.0
             enter(b, t)
             log_event(b, events, room, BOUNCED_AT_STOP, v)
         else:
             come_to_rest(b, t, OPEN)
             log_event(b, events, room, REACHED_STOP, v)
-    elif b[DIRECTION] < 0.0 and (mode == PILOT or b[ONE_PLUNGER] > 0.0):
+    elif b[at.DIRECTION] < 0.0 and (mode == PILOT or b[at.ONE_PLUNGER] > 0.0):
         touch_seat(b, t, events, room)
     else:
         touch_gap(b, t, events, room)
@@ -258,11 +195,11 @@ def touch(b: Block, t: Block, events: Block, room: int) -> None:
 
 def touch_seat(b: Block, t: Block, events: Block, room: int) -> None:
     """The pilot plunger, or the only one, meets its seat."""
-    v = b[V]
-    mode = int(b[MODE])
-    if b[RESTITUTION_SEAT] > 0.0 and abs(v) >= SLOWEST_REBOUND:
-        rescale_velocity(b, t, RESTITUTION_SEAT, -1.0)
-        b[DIRECTION] = 1.0
+    v = b[at.V]
+    mode = int(b[at.MODE])
+    if b[at.RESTITUTION_SEAT] > 0.0 and abs(v) >= SLOWEST_REBOUND:
+        rescale_velocity(b, t, at.RESTITUTION_SEAT, -1.0)
+        b[at.DIRECTION] = 1.0
         unseat(b, t)
         enter(b, t)
         log_event(b, events, room, BOUNCED_AT_SEAT, v)
@@ -278,47 +215,47 @@ def touch_seat(b: Block, t: Block, events: Block, room: int) -> None:
 
 def touch_gap(b: Block, t: Block, events: Block, room: int) -> None:
     """The contact between pilot and main plunger, from below (pick-up) or above (the main plunger seats)."""
-    v = b[V]
-    falls_on_gas = b[DENSITY] > 0.0 and b[DIRECTION] < 0.0
+    v = b[at.V]
+    falls_on_gas = b[at.DENSITY] > 0.0 and b[at.DIRECTION] < 0.0
     if abs(v) < SLOW_AT_GAP or falls_on_gas:
         # Friction takes no part in this decision, nor does velocity.
-        lifted = b[LIFTED]
-        b[V] = 0.0
-        b[LIFTED] = 0.0
-        invoke(b[LOOK], b, t)
-        of_pilot = b[NET]
-        b[LIFTED] = 1.0
-        invoke(b[LOOK], b, t)
-        of_main = b[NET]
-        b[LIFTED] = lifted
-        b[V] = v
-        held_by_gas = falls_on_gas and of_main <= 0.0 and of_main + b[CLOSING] > 0.0
+        lifted = b[at.LIFTED]
+        b[at.V] = 0.0
+        b[at.LIFTED] = 0.0
+        invoke(b[at.LOOK], b, t)
+        of_pilot = b[at.NET]
+        b[at.LIFTED] = 1.0
+        invoke(b[at.LOOK], b, t)
+        of_main = b[at.NET]
+        b[at.LIFTED] = lifted
+        b[at.V] = v
+        held_by_gas = falls_on_gas and of_main <= 0.0 and of_main + b[at.CLOSING] > 0.0
         if held_by_gas or (abs(v) < SLOW_AT_GAP and of_pilot > 0.0 and of_main <= 0.0):
             come_to_rest(b, t, GAP_HOLD)
             log_event(b, events, room, HELD_AT_GAP, v)
             return
-    if b[DIRECTION] < 0.0:
-        b[MODE] = PILOT
+    if b[at.DIRECTION] < 0.0:
+        b[at.MODE] = PILOT
         enter(b, t)
         log_event(b, events, room, MAIN_SEATED, v)
         return
-    rescale_velocity(b, t, RATIO, 1.0)
-    if b[V] == 0.0:
+    rescale_velocity(b, t, at.RATIO, 1.0)
+    if b[at.V] == 0.0:
         # A full stop against the main plunger: what happens next is decided from rest.
         come_to_rest(b, t, GAP_HOLD)
     else:
-        b[MODE] = MAIN
+        b[at.MODE] = MAIN
         enter(b, t)
     log_event(b, events, room, PICKED_UP, v)
 
 
 def turn_round(b: Block, t: Block, events: Block, room: int) -> None:
     """The velocity reached zero: go on, turn round, or stay where dry friction holds."""
-    come_to_rest(b, t, int(b[MODE]))
+    come_to_rest(b, t, int(b[at.MODE]))
     push = push_now(b, t)
     if push != 0.0:
-        b[MOVING] = 1.0
-        b[DIRECTION] = push
+        b[at.MOVING] = 1.0
+        b[at.DIRECTION] = push
         enter(b, t)
     else:
         log_event(b, events, room, STUCK, 0.0)
@@ -326,90 +263,90 @@ def turn_round(b: Block, t: Block, events: Block, room: int) -> None:
 
 def block_diode(b: Block, t: Block) -> None:
     """The current has gone and the diode blocks; eddy currents continue, and pull."""
-    b[PATH] = CUT_OFF
-    b[SEEN] = 0.0
-    b[BLOCKED] = 1.0
-    b[FREEWHEELS] = 0.0
-    if b[IS_FLUX] == 0.0 or b[EDDY] < SHORTEST_LAG:
-        b[COIL] = 0.0
-        set_tangents(b, t, COIL, COIL, 0.0)
-    set_tangents(b, t, SEEN, SEEN, 0.0)
+    b[at.PATH] = CUT_OFF
+    b[at.SEEN] = 0.0
+    b[at.BLOCKED] = 1.0
+    b[at.FREEWHEELS] = 0.0
+    if b[at.IS_FLUX] == 0.0 or b[at.EDDY] < SHORTEST_LAG:
+        b[at.COIL] = 0.0
+        set_tangents(b, t, at.COIL, at.COIL, 0.0)
+    set_tangents(b, t, at.SEEN, at.SEEN, 0.0)
     enter(b, t)
 
 
 def close_circuit(b: Block, t: Block) -> None:
     """Decide what closes the coil's circuit under the command in force: afresh, but a diode that blocks goes on so."""
-    stays_blocked = b[PATH] == CUT_OFF
-    b[SEEN] = b[VOLTS]
-    set_tangents(b, t, SEEN, VOLTS, 1.0)
-    b[PATH] = DRIVEN
-    b[BLOCKED] = 0.0
-    b[FREEWHEELS] = 0.0
-    if b[RELEASE] == 0.0 or b[VOLTS] != 0.0:
+    stays_blocked = b[at.PATH] == CUT_OFF
+    b[at.SEEN] = b[at.VOLTS]
+    set_tangents(b, t, at.SEEN, at.VOLTS, 1.0)
+    b[at.PATH] = DRIVEN
+    b[at.BLOCKED] = 0.0
+    b[at.FREEWHEELS] = 0.0
+    if b[at.RELEASE] == 0.0 or b[at.VOLTS] != 0.0:
         enter(b, t)
         return
-    if stays_blocked or b[COIL] == 0.0 or b[LAG] < SHORTEST_LAG:
+    if stays_blocked or b[at.COIL] == 0.0 or b[at.LAG] < SHORTEST_LAG:
         block_diode(b, t)
         return
-    sign = 1.0 if b[COIL] > 0.0 else -1.0
-    b[PATH] = FREEWHEELING
-    b[SEEN] = -sign * b[RELEASE]
-    set_tangents(b, t, SEEN, RELEASE, -sign)
-    b[FREEWHEELS] = sign
+    sign = 1.0 if b[at.COIL] > 0.0 else -1.0
+    b[at.PATH] = FREEWHEELING
+    b[at.SEEN] = -sign * b[at.RELEASE]
+    set_tangents(b, t, at.SEEN, at.RELEASE, -sign)
+    b[at.FREEWHEELS] = sign
     enter(b, t)
-    invoke(b[LOOK], b, t)
-    if not (b[CURRENT] * sign > 0.0):
+    invoke(b[at.LOOK], b, t)
+    if not (b[at.CURRENT] * sign > 0.0):
         block_diode(b, t)
 
 
 def set_voltage(b: Block, t: Block, volts: float) -> None:
     """A command takes effect now, at the state's time."""
-    b[VOLTS] = volts
-    b[CHANGED] = b[TIME]
+    b[at.VOLTS] = volts
+    b[at.CHANGED] = b[at.TIME]
     close_circuit(b, t)
-    if b[HAS_PEAK] > 0.0:
-        invoke(b[LOOK], b, t)
-        if abs(b[CURRENT]) > b[PEAK]:
-            b[PEAK] = abs(b[CURRENT])
-            set_tangents(b, t, PEAK, CURRENT, 1.0 if b[CURRENT] > 0.0 else -1.0)
+    if b[at.HAS_PEAK] > 0.0:
+        invoke(b[at.LOOK], b, t)
+        if abs(b[at.CURRENT]) > b[at.PEAK]:
+            b[at.PEAK] = abs(b[at.CURRENT])
+            set_tangents(b, t, at.PEAK, at.CURRENT, 1.0 if b[at.CURRENT] > 0.0 else -1.0)
         enter(b, t)
 
 
 def end_step(b: Block, t: Block, ends: int, events: Block, room: int) -> None:
     """Apply the event that ended a step; the state is that of its end."""
     leave(b, t, ends)
-    if ends == CONTACT:
-        b[X] = b[AHEAD]
+    if ends == at.CONTACT:
+        b[at.X] = b[at.AHEAD]
         touch(b, t, events, room)
-    elif ends == TURN:
+    elif ends == at.TURN:
         turn_round(b, t, events, room)
-    elif ends in (RISE, FALL):
+    elif ends in (at.RISE, at.FALL):
         move_off(b, t, ends, events, room)
-    elif ends == CURRENT_GONE:
+    elif ends == at.CURRENT_GONE:
         block_diode(b, t)
-        log_event(b, events, room, GONE, b[V])
-    elif b[CURVE] > 0.0 and ends - FLAGGED == b[LOW_GUARD]:
-        place_curve(b, t, b[CURVE_INDEX] - 1.0)
-    elif b[CURVE] > 0.0 and ends - FLAGGED == b[HIGH_GUARD]:
-        place_curve(b, t, b[CURVE_INDEX] + 1.0)
-    elif ends == FLOW_SWITCHED:
+        log_event(b, events, room, GONE, b[at.V])
+    elif b[at.CURVE] > 0.0 and ends - at.FLAGGED == b[at.LOW_GUARD]:
+        place_curve(b, t, b[at.CURVE_INDEX] - 1.0)
+    elif b[at.CURVE] > 0.0 and ends - at.FLAGGED == b[at.HIGH_GUARD]:
+        place_curve(b, t, b[at.CURVE_INDEX] + 1.0)
+    elif ends == at.FLOW_SWITCHED:
         switch_flow(b, events, room)
     else:
-        b[FLAG + ends - FLAGGED] = 1.0 - b[FLAG + ends - FLAGGED]
-    b[GAS_KNOWN] = 0.0
+        b[at.FLAG + ends - at.FLAGGED] = 1.0 - b[at.FLAG + ends - at.FLAGGED]
+    b[at.GAS_KNOWN] = 0.0
     arrive(b, t)
 
 
 def switch_flow(b: Block, events: Block, room: int) -> None:
     """The flow of gas became choked or subsonic, or turned round."""
-    before = b[REGIME]
-    b[REGIME] = b[REGIME_AHEAD]
+    before = b[at.REGIME]
+    b[at.REGIME] = b[at.REGIME_AHEAD]
     kind = FLOW_SUBSONIC
-    if b[REGIME] * before < 0.0:
+    if b[at.REGIME] * before < 0.0:
         kind = FLOW_REVERSED
-    elif abs(b[REGIME]) > 1.5:
+    elif abs(b[at.REGIME]) > 1.5:
         kind = FLOW_CHOKED
-    log_event(b, events, room, kind, b[V])
+    log_event(b, events, room, kind, b[at.V])
 
 
 FUNCTIONS: Final = (

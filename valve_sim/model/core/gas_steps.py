@@ -23,61 +23,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from valve_sim.model.core.layout import (
-    AT,
-    BEND,
-    BEND_SLOPES,
-    BENT,
-    BENT_END,
-    BENT_START,
-    CHANGED,
-    COIL,
-    CRITICAL,
-    DEMAND_DENSITY,
-    DENSITY,
-    EDDY,
-    ELAPSED,
-    END,
-    FLOW,
-    FLOW_RATE,
-    FLOW_SLOPE,
-    FLOW_SLOPES,
-    GAS_K,
-    GAS_KNOWN,
-    GAS_RATE,
-    GAS_STAGES,
-    GAS_STEP,
-    HAS_DEMAND,
-    INLET,
-    INLET_DENSITY,
-    LAG,
-    LIMIT_END,
-    LIMIT_START,
-    MOVING,
-    ORDER,
-    OUTLET,
-    READS_TIME,
-    REGIME,
-    SERIES_COIL,
-    SERIES_X,
-    STAGE,
-    STAGE_RATES,
-    STAGE_SLOPES,
-    STAGES,
-    STATES,
-    STEP,
-    STIFFNESS,
-    TERMS,
-    TIME,
-    TOLERANCE,
-    UNSEATED_TIME,
-    VOLTS,
-    WARM,
-    WATCH,
-    WIDE,
-    WIDTH,
-    X,
-)  # fmt: skip
+from valve_sim.model.core import layout as at
 from valve_sim.model.core.polynomials import Block, invoke
 
 TIMES: Final = (0.0, 1 / 2, 83 / 250, 31 / 50, 17 / 20, 1.0)
@@ -165,13 +111,13 @@ SHORTEST: Final = 1e-16
 def longest_gas_step(b: Block) -> float:
     """How far a step may go at most, s, whatever its error."""
     rest = LONGEST_REST
-    if b[READS_TIME] == 0.0:
-        rest = max(rest, LONGEST_REST_SHARE * (b[TIME] - max(b[CHANGED], b[UNSEATED_TIME])))
-    if b[MOVING] == 0.0:
+    if b[at.READS_TIME] == 0.0:
+        rest = max(rest, LONGEST_REST_SHARE * (b[at.TIME] - max(b[at.CHANGED], b[at.UNSEATED_TIME])))
+    if b[at.MOVING] == 0.0:
         return rest
     # No current is left, and all that moves creeps: a pilot plunger that nothing returns may float for hours.
-    creeps = b[TIME] - b[CHANGED] > max(DECAYED * (b[LAG] + b[EDDY]), LONGEST_MOTION)
-    if b[VOLTS] == 0.0 and b[WARM] < 0.0 and creeps:
+    creeps = b[at.TIME] - b[at.CHANGED] > max(DECAYED * (b[at.LAG] + b[at.EDDY]), LONGEST_MOTION)
+    if b[at.VOLTS] == 0.0 and b[at.WARM] < 0.0 and creeps:
         return rest
     return LONGEST_STEP
 
@@ -185,53 +131,53 @@ def stage_states(own: Block, stride: int, h: float, stage: int, states: int) -> 
     for j in range(states):
         total = 0.0
         for i in range(stage):
-            total += EXPLICIT[stage * COLUMNS + i] * own[(GAS_K + i * WIDE + j) * stride]
-        own[(END + j) * stride] = own[(X + j) * stride] + h * total
+            total += EXPLICIT[stage * COLUMNS + i] * own[(at.GAS_K + i * at.WIDE + j) * stride]
+        own[(at.END + j) * stride] = own[(at.X + j) * stride] + h * total
 
 
 def end_states(own: Block, stride: int, h: float, states: int) -> None:
     """The states but for the density at the end of a step, or their tangents; arguments as of `stage_states`."""
     for j in range(states):
         total = 0.0
-        for i in range(STAGES):
-            total += WEIGHTS[i] * own[(GAS_K + i * WIDE + j) * stride]
-        own[(END + j) * stride] = own[(X + j) * stride] + h * total
+        for i in range(at.STAGES):
+            total += WEIGHTS[i] * own[(at.GAS_K + i * at.WIDE + j) * stride]
+        own[(at.END + j) * stride] = own[(at.X + j) * stride] + h * total
 
 
 def known_density(own: Block, stride: int, h: float, stage: int, j: int) -> float:
     """The right-hand side of (G6), or its tangent; j is the place of the density among the states."""
     total = 0.0
     for i in range(stage):
-        total += IMPLICIT[stage * COLUMNS + i] * own[(GAS_K + i * WIDE + j) * stride]
-    return float(own[(X + j) * stride] + h * total)
+        total += IMPLICIT[stage * COLUMNS + i] * own[(at.GAS_K + i * at.WIDE + j) * stride]
+    return float(own[(at.X + j) * stride] + h * total)
 
 
 def solve_density(b: Block, t: Block, share: float, known: float, guess: float) -> float:
     """Solve (G6), kg/m³; share is h γ. Leaves the slope of f where it was last asked for in the block."""
-    slot = END + int(b[DENSITY]) - X
+    slot = at.END + int(b[at.DENSITY]) - at.X
     density = guess
     low = known
     high = known
     for iteration in range(MOST_ITERATIONS):
         b[slot] = density
-        invoke(b[FLOW], b, t)
+        invoke(b[at.FLOW], b, t)
         if iteration == 0:
             # The flow takes the density towards those at the ends, and not beyond.
-            low = min(known, b[INLET_DENSITY])
-            high = max(known, b[INLET_DENSITY])
-            if b[HAS_DEMAND] > 0.0:
-                low = min(low, b[DEMAND_DENSITY])
-                high = max(high, b[DEMAND_DENSITY])
-        excess = density - share * b[FLOW_RATE] - known
+            low = min(known, b[at.INLET_DENSITY])
+            high = max(known, b[at.INLET_DENSITY])
+            if b[at.HAS_DEMAND] > 0.0:
+                low = min(low, b[at.DEMAND_DENSITY])
+                high = max(high, b[at.DEMAND_DENSITY])
+        excess = density - share * b[at.FLOW_RATE] - known
         if excess > 0.0:
             high = min(high, density)
         else:
             low = max(low, density)
-        anchor = b[INLET_DENSITY]
-        if b[HAS_DEMAND] > 0.0 and abs(density - b[DEMAND_DENSITY]) < abs(density - anchor):
-            anchor = b[DEMAND_DENSITY]
+        anchor = b[at.INLET_DENSITY]
+        if b[at.HAS_DEMAND] > 0.0 and abs(density - b[at.DEMAND_DENSITY]) < abs(density - anchor):
+            anchor = b[at.DEMAND_DENSITY]
         apart = density - anchor
-        slope = share * b[FLOW_SLOPE]
+        slope = share * b[at.FLOW_SLOPE]
         change = -excess / (1.0 - slope)
         better = density + change
         is_last = abs(slope) * change * change <= ROUNDING * density * abs(apart)
@@ -255,57 +201,57 @@ def solve_density(b: Block, t: Block, share: float, known: float, guess: float) 
 
 def stage_rates(b: Block, t: Block, stage: int) -> None:
     """Keep the rates of all states but the density at a stage, or at the end of the step: stage STAGES."""
-    k = GAS_K + stage * WIDE
-    is_integrated = b[WARM] >= 0.0
-    if b[MOVING] > 0.0 or is_integrated:
-        invoke(b[STAGE], b, t)
+    k = at.GAS_K + stage * at.WIDE
+    is_integrated = b[at.WARM] >= 0.0
+    if b[at.MOVING] > 0.0 or is_integrated:
+        invoke(b[at.STAGE], b, t)
     b[k] = 0.0
     b[k + 1] = 0.0
-    if b[MOVING] > 0.0:
-        b[k] = b[END + 1]
-        b[k + 1] = b[STAGE_RATES + 1]
-    states = 2 + int(b[STATES])
+    if b[at.MOVING] > 0.0:
+        b[k] = b[at.END + 1]
+        b[k + 1] = b[at.STAGE_RATES + 1]
+    states = 2 + int(b[at.STATES])
     for j in range(2, states):
-        if X + j != int(b[DENSITY]):
-            b[k + j] = b[STAGE_RATES + j] if is_integrated else 0.0
+        if at.X + j != int(b[at.DENSITY]):
+            b[k + j] = b[at.STAGE_RATES + j] if is_integrated else 0.0
 
 
 def try_gas_step(b: Block, t: Block, h: float) -> None:
     """One trial step of size h, s, from the state: rates at all stages, and the end of all that is integrated."""
-    states = 2 + int(b[STATES])
-    place = int(b[DENSITY]) - X
-    density = b[X + place]
-    for stage in range(STAGES):
-        b[ELAPSED] = TIMES[stage] * h
+    states = 2 + int(b[at.STATES])
+    place = int(b[at.DENSITY]) - at.X
+    density = b[at.X + place]
+    for stage in range(at.STAGES):
+        b[at.ELAPSED] = TIMES[stage] * h
         stage_states(b, 1, h, stage, states)
-        k = GAS_K + stage * WIDE + place
+        k = at.GAS_K + stage * at.WIDE + place
         if stage == 0:
-            b[END + place] = density
-            invoke(b[FLOW], b, t)
+            b[at.END + place] = density
+            invoke(b[at.FLOW], b, t)
             # Where the gas is stiff, the formula multiplies rounding; what the step before ended with does not.
-            b[k] = b[GAS_RATE] if b[GAS_KNOWN] > 0.0 else b[FLOW_RATE]
+            b[k] = b[at.GAS_RATE] if b[at.GAS_KNOWN] > 0.0 else b[at.FLOW_RATE]
         else:
             known = known_density(b, 1, h, stage, place)
-            if h * DIAGONAL * abs(b[FLOW_SLOPE]) < PREDICTED:
-                density = known + h * DIAGONAL * b[k - WIDE]
+            if h * DIAGONAL * abs(b[at.FLOW_SLOPE]) < PREDICTED:
+                density = known + h * DIAGONAL * b[k - at.WIDE]
             density = solve_density(b, t, h * DIAGONAL, known, density)
             b[k] = (density - known) / (h * DIAGONAL)
-        b[GAS_STAGES + stage] = density
+        b[at.GAS_STAGES + stage] = density
         stage_rates(b, t, stage)
-    b[STIFFNESS] = -h * b[FLOW_SLOPE]
+    b[at.STIFFNESS] = -h * b[at.FLOW_SLOPE]
     end_states(b, 1, h, states)
-    b[ELAPSED] = h
-    b[END + place] = density
-    b[GAS_STAGES + STAGES] = density
-    b[GAS_K + STAGES * WIDE + place] = b[GAS_K + (STAGES - 1) * WIDE + place]
-    stage_rates(b, t, STAGES)
+    b[at.ELAPSED] = h
+    b[at.END + place] = density
+    b[at.GAS_STAGES + at.STAGES] = density
+    b[at.GAS_K + at.STAGES * at.WIDE + place] = b[at.GAS_K + (at.STAGES - 1) * at.WIDE + place]
+    stage_rates(b, t, at.STAGES)
 
 
 def error_of(b: Block, h: float, j: int) -> float:
     """Of state j at the end of the trial step."""
     error = 0.0
-    for i in range(STAGES):
-        error += (WEIGHTS[i] - EMBEDDED[i]) * b[GAS_K + i * WIDE + j]
+    for i in range(at.STAGES):
+        error += (WEIGHTS[i] - EMBEDDED[i]) * b[at.GAS_K + i * at.WIDE + j]
     return h * error
 
 
@@ -313,21 +259,21 @@ def gas_error(b: Block, h: float) -> float:
     """Root mean square of the error in units of the tolerance; above 1 the step is refused."""
     total = 0.0
     count = 0
-    states = 2 + int(b[STATES])
+    states = 2 + int(b[at.STATES])
     for j in range(states):
         size = SIZE_OF_RATES
         if j == 0:
             size = SIZE_OF_X
-        elif X + j == int(b[DENSITY]):
-            size = SIZE_OF_DENSITY * b[INLET_DENSITY]
-        elif b[WARM] >= 0.0 and COIL + int(b[WARM]) == X + j:
+        elif at.X + j == int(b[at.DENSITY]):
+            size = SIZE_OF_DENSITY * b[at.INLET_DENSITY]
+        elif b[at.WARM] >= 0.0 and at.COIL + int(b[at.WARM]) == at.X + j:
             size = SIZE_OF_TEMPERATURE
-        if j < 2 or X + j == int(b[DENSITY]) or b[WARM] >= 0.0:
-            ratio = error_of(b, h, j) / max(abs(b[X + j]), abs(b[END + j]), size)
+        if j < 2 or at.X + j == int(b[at.DENSITY]) or b[at.WARM] >= 0.0:
+            ratio = error_of(b, h, j) / max(abs(b[at.X + j]), abs(b[at.END + j]), size)
             total += ratio * ratio
             count += 1
-    looser = LOOSER if b[MOVING] == 0.0 else LOOSER_IN_MOTION
-    return float(math.sqrt(total / count) / (looser * b[TOLERANCE]))
+    looser = LOOSER if b[at.MOVING] == 0.0 else LOOSER_IN_MOTION
+    return float(math.sqrt(total / count) / (looser * b[at.TOLERANCE]))
 
 
 def step_factor(error: float) -> float:
@@ -350,41 +296,41 @@ def fill_polynomials(own: Block, stride: int, b: Block, h: float) -> None:
 
     Those of the density are kept between its ends by the limits in the block, where the step is stiff.
     """
-    for k in range(ORDER + 1):
-        own[(SERIES_X + k) * stride] = 0.0
-    a = GAS_K * stride
-    end = (GAS_K + STAGES * WIDE) * stride
-    own[SERIES_X * stride] = own[X * stride]
-    if b[MOVING] > 0.0:
-        v = own[(X + 1) * stride]
-        rise = own[(END + 1) * stride] - v
+    for k in range(at.ORDER + 1):
+        own[(at.SERIES_X + k) * stride] = 0.0
+    a = at.GAS_K * stride
+    end = (at.GAS_K + at.STAGES * at.WIDE) * stride
+    own[at.SERIES_X * stride] = own[at.X * stride]
+    if b[at.MOVING] > 0.0:
+        v = own[(at.X + 1) * stride]
+        rise = own[(at.END + 1) * stride] - v
         first = h * own[a + stride]
         last = h * own[end + stride]
-        own[(SERIES_X + 1) * stride] = v
-        own[(SERIES_X + 2) * stride] = first / (2.0 * h)
-        own[(SERIES_X + 3) * stride] = (3.0 * rise - 2.0 * first - last) / (3.0 * h * h)
-        own[(SERIES_X + 4) * stride] = (first + last - 2.0 * rise) / (4.0 * h * h * h)
-        own[END * stride] = own[X * stride] + h * (v + 0.5 * rise + (first - last) / 12.0)
-    states = 2 + int(b[STATES])
+        own[(at.SERIES_X + 1) * stride] = v
+        own[(at.SERIES_X + 2) * stride] = first / (2.0 * h)
+        own[(at.SERIES_X + 3) * stride] = (3.0 * rise - 2.0 * first - last) / (3.0 * h * h)
+        own[(at.SERIES_X + 4) * stride] = (first + last - 2.0 * rise) / (4.0 * h * h * h)
+        own[at.END * stride] = own[at.X * stride] + h * (v + 0.5 * rise + (first - last) / 12.0)
+    states = 2 + int(b[at.STATES])
     for j in range(2, states):
-        c = (SERIES_COIL + (j - 2) * TERMS) * stride
-        rise = own[(END + j) * stride] - own[(X + j) * stride]
+        c = (at.SERIES_COIL + (j - 2) * at.TERMS) * stride
+        rise = own[(at.END + j) * stride] - own[(at.X + j) * stride]
         first = h * own[a + j * stride]
         last = h * own[end + j * stride]
         bent = 0.0
         bent_end = 0.0
-        is_quintic = X + j == int(b[DENSITY]) and b[STIFFNESS] <= STIFF
+        is_quintic = at.X + j == int(b[at.DENSITY]) and b[at.STIFFNESS] <= STIFF
         if is_quintic:
-            bent = own[BENT_START * stride]
-            bent_end = own[BENT_END * stride]
-        elif X + j == int(b[DENSITY]):
-            if b[LIMIT_START] != 1.0:
-                first = STEEPEST * rise if b[LIMIT_START] > 1.0 else 0.0
-            if b[LIMIT_END] != 1.0:
-                last = STEEPEST * rise if b[LIMIT_END] > 1.0 else 0.0
-        for k in range(6, TERMS):
+            bent = own[at.BENT_START * stride]
+            bent_end = own[at.BENT_END * stride]
+        elif at.X + j == int(b[at.DENSITY]):
+            if b[at.LIMIT_START] != 1.0:
+                first = STEEPEST * rise if b[at.LIMIT_START] > 1.0 else 0.0
+            if b[at.LIMIT_END] != 1.0:
+                last = STEEPEST * rise if b[at.LIMIT_END] > 1.0 else 0.0
+        for k in range(6, at.TERMS):
             own[c + k * stride] = 0.0
-        own[c] = own[(X + j) * stride]
+        own[c] = own[(at.X + j) * stride]
         own[c + stride] = first / h
         # What the terms of higher order make of the value, the rate and its rate at the end.
         half = 0.5 * h * h * bent if is_quintic else 3.0 * rise - 2.0 * first - last
@@ -403,31 +349,31 @@ def bend_at(b: Block, t: Block, h: float, stage: int, bend: float) -> None:
     Args:
         bend: address of the kernel.
     """
-    states = 2 + int(b[STATES])
-    if stage == STAGES:
+    states = 2 + int(b[at.STATES])
+    if stage == at.STAGES:
         end_states(b, 1, h, states)
-        b[ELAPSED] = h
+        b[at.ELAPSED] = h
     else:
         stage_states(b, 1, h, 0, states)
-        b[ELAPSED] = 0.0
-    b[END + int(b[DENSITY]) - X] = b[GAS_STAGES + stage]
+        b[at.ELAPSED] = 0.0
+    b[at.END + int(b[at.DENSITY]) - at.X] = b[at.GAS_STAGES + stage]
     invoke(bend, b, t)
 
 
 def gas_polynomials(b: Block, t: Block, h: float) -> None:
     """Make the polynomials of a step that has been tried."""
-    j = int(b[DENSITY]) - X
-    b[LIMIT_START] = 1.0
-    b[LIMIT_END] = 1.0
-    if b[STIFFNESS] <= STIFF:
-        bend_at(b, t, h, 0, b[BEND])
-        b[BENT_START] = b[BENT]
-        bend_at(b, t, h, STAGES, b[BEND])
-        b[BENT_END] = b[BENT]
+    j = int(b[at.DENSITY]) - at.X
+    b[at.LIMIT_START] = 1.0
+    b[at.LIMIT_END] = 1.0
+    if b[at.STIFFNESS] <= STIFF:
+        bend_at(b, t, h, 0, b[at.BEND])
+        b[at.BENT_START] = b[at.BENT]
+        bend_at(b, t, h, at.STAGES, b[at.BEND])
+        b[at.BENT_END] = b[at.BENT]
     else:
-        rise = b[END + j] - b[X + j]
-        b[LIMIT_START] = limit(h * b[GAS_K + j], rise)
-        b[LIMIT_END] = limit(h * b[GAS_K + STAGES * WIDE + j], rise)
+        rise = b[at.END + j] - b[at.X + j]
+        b[at.LIMIT_START] = limit(h * b[at.GAS_K + j], rise)
+        b[at.LIMIT_END] = limit(h * b[at.GAS_K + at.STAGES * at.WIDE + j], rise)
     fill_polynomials(b, 1, b, h)
 
 
@@ -435,122 +381,122 @@ def take_gas_step(b: Block, t: Block, h: float) -> None:
     """Make a step of size h, s, the one at hand: its polynomials and its end, without tangents."""
     try_gas_step(b, t, h)
     gas_polynomials(b, t, h)
-    b[STEP] = h
+    b[at.STEP] = h
 
 
 def gas_tangents(b: Block, t: Block) -> None:
     """Tangents of the step at hand: of its stages one after the other, and of its polynomials."""
-    width = int(b[WIDTH])
-    h = b[STEP]
+    width = int(b[at.WIDTH])
+    h = b[at.STEP]
     if width == 0 or h == 0.0:
         return
-    states = 2 + int(b[STATES])
-    place = int(b[DENSITY]) - X
-    for stage in range(STAGES + 1):
-        if stage < STAGES:
-            b[ELAPSED] = TIMES[stage] * h
+    states = 2 + int(b[at.STATES])
+    place = int(b[at.DENSITY]) - at.X
+    for stage in range(at.STAGES + 1):
+        if stage < at.STAGES:
+            b[at.ELAPSED] = TIMES[stage] * h
             stage_states(b, 1, h, stage, states)
         else:
-            b[ELAPSED] = h
+            b[at.ELAPSED] = h
             end_states(b, 1, h, states)
-        b[END + place] = b[GAS_STAGES + stage]
+        b[at.END + place] = b[at.GAS_STAGES + stage]
         for k in range(width):
-            if stage < STAGES:
+            if stage < at.STAGES:
                 stage_states(t[k:], width, h, stage, states)
             else:
                 end_states(t[k:], width, h, states)
         tangents_of_density(b, t, h, stage, place)
         tangents_of_rates(b, t, stage, states, place)
-        if b[STIFFNESS] <= STIFF and stage in (0, STAGES):
-            bent = BENT_START if stage == 0 else BENT_END
-            invoke(b[BEND_SLOPES], b, t)
+        if b[at.STIFFNESS] <= STIFF and stage in (0, at.STAGES):
+            bent = at.BENT_START if stage == 0 else at.BENT_END
+            invoke(b[at.BEND_SLOPES], b, t)
             for k in range(width):
-                t[bent * width + k] = t[BENT * width + k]
+                t[bent * width + k] = t[at.BENT * width + k]
     for k in range(width):
         fill_polynomials(t[k:], width, b, h)
 
 
 def tangents_of_density(b: Block, t: Block, h: float, stage: int, place: int) -> None:
     """Tangents of the density at a stage, and of its rate: of (G6), whose right-hand side is explicit."""
-    width = int(b[WIDTH])
-    own = (GAS_K + stage * WIDE + place) * width
-    here = (END + place) * width
-    if stage < STAGES:
+    width = int(b[at.WIDTH])
+    own = (at.GAS_K + stage * at.WIDE + place) * width
+    here = (at.END + place) * width
+    if stage < at.STAGES:
         for k in range(width):
             t[here + k] = known_density(t[k:], width, h, stage, place)
-        invoke(b[FLOW_SLOPES], b, t)
+        invoke(b[at.FLOW_SLOPES], b, t)
     share = h * DIAGONAL if stage > 0 else 0.0
     for k in range(width):
-        if stage == STAGES:
+        if stage == at.STAGES:
             # The last stage is the end.
-            t[own + k] = t[own - WIDE * width + k]
-            t[here + k] = t[(GAS_STAGES + STAGES - 1) * width + k]
-        elif stage == 0 and b[GAS_KNOWN] > 0.0:
-            t[own + k] = t[GAS_RATE * width + k]
+            t[own + k] = t[own - at.WIDE * width + k]
+            t[here + k] = t[(at.GAS_STAGES + at.STAGES - 1) * width + k]
+        elif stage == 0 and b[at.GAS_KNOWN] > 0.0:
+            t[own + k] = t[at.GAS_RATE * width + k]
         else:
-            t[own + k] = t[FLOW_RATE * width + k] / (1.0 - share * b[FLOW_SLOPE])
+            t[own + k] = t[at.FLOW_RATE * width + k] / (1.0 - share * b[at.FLOW_SLOPE])
             t[here + k] += share * t[own + k]
-        t[(GAS_STAGES + stage) * width + k] = t[here + k]
+        t[(at.GAS_STAGES + stage) * width + k] = t[here + k]
 
 
 def tangents_of_rates(b: Block, t: Block, stage: int, states: int, place: int) -> None:
     """Tangents of what `stage_rates` keeps."""
-    width = int(b[WIDTH])
-    moves = b[MOVING] > 0.0
-    is_integrated = b[WARM] >= 0.0
+    width = int(b[at.WIDTH])
+    moves = b[at.MOVING] > 0.0
+    is_integrated = b[at.WARM] >= 0.0
     if moves or is_integrated:
-        invoke(b[STAGE_SLOPES], b, t)
-    row = (GAS_K + stage * WIDE) * width
+        invoke(b[at.STAGE_SLOPES], b, t)
+    row = (at.GAS_K + stage * at.WIDE) * width
     for k in range(width):
-        t[row + k] = t[(END + 1) * width + k] if moves else 0.0
-        t[row + width + k] = t[(STAGE_RATES + 1) * width + k] if moves else 0.0
+        t[row + k] = t[(at.END + 1) * width + k] if moves else 0.0
+        t[row + width + k] = t[(at.STAGE_RATES + 1) * width + k] if moves else 0.0
         for j in range(2, states):
             if j != place:
-                t[row + j * width + k] = t[(STAGE_RATES + j) * width + k] if is_integrated else 0.0
+                t[row + j * width + k] = t[(at.STAGE_RATES + j) * width + k] if is_integrated else 0.0
 
 
 def finish_gas_step(b: Block, t: Block) -> None:
     """Fill in the end of the step at hand, with tangents; the density to its last digit."""
     gas_tangents(b, t)
-    b[ELAPSED] = b[STEP]
-    invoke(b[AT], b, t)
-    b[END + int(b[DENSITY]) - X] = b[GAS_STAGES + STAGES]
+    b[at.ELAPSED] = b[at.STEP]
+    invoke(b[at.AT], b, t)
+    b[at.END + int(b[at.DENSITY]) - at.X] = b[at.GAS_STAGES + at.STAGES]
 
 
 def know_rate(b: Block, t: Block) -> None:
     """The end of the step at hand has become the state, and nothing happens there: keep the rate of a stiff density."""
-    last = GAS_K + STAGES * WIDE + int(b[DENSITY]) - X
-    b[GAS_KNOWN] = 1.0 if b[STIFFNESS] > STIFF else 0.0
-    b[GAS_RATE] = b[last]
-    width = int(b[WIDTH])
+    last = at.GAS_K + at.STAGES * at.WIDE + int(b[at.DENSITY]) - at.X
+    b[at.GAS_KNOWN] = 1.0 if b[at.STIFFNESS] > STIFF else 0.0
+    b[at.GAS_RATE] = b[last]
+    width = int(b[at.WIDTH])
     for k in range(width):
-        t[GAS_RATE * width + k] = t[last * width + k]
+        t[at.GAS_RATE * width + k] = t[last * width + k]
 
 
 def rest_at(b: Block, t: Block) -> None:
     """Make a step of no length the one at hand, of plungers that something pushes at once."""
-    for k in range(ORDER + 1):
-        b[SERIES_X + k] = 0.0
-    b[SERIES_X] = b[X]
-    states = int(b[STATES])
+    for k in range(at.ORDER + 1):
+        b[at.SERIES_X + k] = 0.0
+    b[at.SERIES_X] = b[at.X]
+    states = int(b[at.STATES])
     for i in range(states):
-        for k in range(TERMS):
-            b[SERIES_COIL + i * TERMS + k] = 0.0
-        b[SERIES_COIL + i * TERMS] = b[COIL + i]
-    width = int(b[WIDTH])
+        for k in range(at.TERMS):
+            b[at.SERIES_COIL + i * at.TERMS + k] = 0.0
+        b[at.SERIES_COIL + i * at.TERMS] = b[at.COIL + i]
+    width = int(b[at.WIDTH])
     for k in range(width):
-        t[SERIES_X * width + k] = t[X * width + k]
+        t[at.SERIES_X * width + k] = t[at.X * width + k]
         for i in range(states):
-            t[(SERIES_COIL + i * TERMS) * width + k] = t[(COIL + i) * width + k]
-    b[STEP] = 0.0
-    b[ELAPSED] = 0.0
-    invoke(b[AT], b, t)
-    b[END + int(b[DENSITY]) - X] = b[int(b[DENSITY])]
+            t[(at.SERIES_COIL + i * at.TERMS) * width + k] = t[(at.COIL + i) * width + k]
+    b[at.STEP] = 0.0
+    b[at.ELAPSED] = 0.0
+    invoke(b[at.AT], b, t)
+    b[at.END + int(b[at.DENSITY]) - at.X] = b[int(b[at.DENSITY])]
 
 
 def controlled_gas_step(b: Block, t: Block) -> bool:
     """Make the next step that error control accepts the one at hand; whether there is one."""
-    h = min(b[GAS_STEP], longest_gas_step(b))
+    h = min(b[at.GAS_STEP], longest_gas_step(b))
     error = NEVER
     while not (error <= 1.0):
         try_gas_step(b, t, h)
@@ -559,9 +505,9 @@ def controlled_gas_step(b: Block, t: Block) -> bool:
             h *= max(LARGEST_CUT, step_factor(error)) if error < NEVER else LARGEST_CUT
             if h < SHORTEST:
                 return False
-    b[GAS_STEP] = h * min(LARGEST_GROWTH, step_factor(error))
+    b[at.GAS_STEP] = h * min(LARGEST_GROWTH, step_factor(error))
     gas_polynomials(b, t, h)
-    b[STEP] = h
+    b[at.STEP] = h
     return True
 
 
@@ -571,23 +517,23 @@ def regime_of(b: Block, relative: float, absolute: float) -> float:
     Args:
         relative, absolute: –, Pa: by how much the pressures must have passed a limit to leave the state's regime.
     """
-    inlet = b[INLET]
-    outlet = b[OUTLET]
-    before = b[REGIME]
+    inlet = b[at.INLET]
+    outlet = b[at.OUTLET]
+    before = b[at.REGIME]
     beyond = absolute + relative * inlet
     is_forward = inlet - outlet > beyond if before < 0.0 else inlet - outlet >= -beyond
     way = 1.0 if is_forward else -1.0
     ratio = min(inlet, outlet) / max(inlet, outlet)
     if ratio >= NEVER_CHOKED:
         return way
-    critical = b[CRITICAL] * (1.0 + relative if abs(before) > 1.5 else 1.0 - relative)
+    critical = b[at.CRITICAL] * (1.0 + relative if abs(before) > 1.5 else 1.0 - relative)
     return 2.0 * way if ratio < critical else way
 
 
 def regime_at(b: Block, t: Block, elapsed: float, relative: float, absolute: float) -> float:
     """The regime of the flow, as `regime_of` says it, at a time within the step."""
-    b[ELAPSED] = elapsed
-    invoke(b[WATCH], b, t)
+    b[at.ELAPSED] = elapsed
+    invoke(b[at.WATCH], b, t)
     return regime_of(b, relative, absolute)
 
 

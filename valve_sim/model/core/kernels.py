@@ -6,7 +6,6 @@
     at        the states at some time within the step
     spot      x and v at some time within the step
     row       what a row of output shows at some time within the step
-    rows      likewise, at ROWS_LANES times side by side
     look      forces, rates and currents at the state
     place     where a curve of splines is read
     decide    which comparisons of the equations hold at the state
@@ -56,7 +55,7 @@ DYNAMIC: Final = (
 """Numbers that events change, and their tangents with them."""
 OF_TAYLOR: Final = ("move", "rest")
 OF_GAS: Final = ("flow", "stage", "bend", "watch", "flow_slopes", "stage_slopes", "bend_slopes")
-OF_BOTH: Final = ("at", "spot", "row", "rows", "look", "place", "decide", "prepare")
+OF_BOTH: Final = ("at", "spot", "row", "look", "place", "decide", "prepare")
 NAMES: Final = (*OF_TAYLOR, *OF_GAS, *OF_BOTH)
 
 
@@ -428,7 +427,7 @@ class Kernels:
         return code
 
     def _row(self) -> Code:
-        code, system = Code(width=self.width, exact=True), self.system
+        code, system = self._code(), self.system
         elapsed = code.load(at.ELAPSED)
         shown, there = self._shown(code, elapsed)
         for slot, value in zip((at.ROW_X, at.ROW_V, at.PULL, at.TERMINAL), shown, strict=False):
@@ -451,15 +450,6 @@ class Kernels:
         first = at.SERIES_COIL + self.names.index(name) * at.TERMS
         c = [code.mul(code.load(first + k), code.constant(float(k))) for k in range(1, at.TERMS)]
         return self._polynomial(code, c, self._powers(code, h, at.TERMS))
-
-    def _rows(self) -> Code:
-        code = Code(at.ROWS_LANES, exact=True)
-        shown, there = self._shown(code, code.load_lanes(at.ROWS))
-        gas = self.system.gas
-        of_gas = () if gas is None else (there.value(gas.outlet), there.value(gas.flow))
-        for place, value in enumerate((*shown, there.value(self.system.current), *of_gas), 1):
-            code.store(at.ROWS + place * at.ROWS_LANES, value)
-        return code
 
     def _shown(self, code: Code, elapsed: Value) -> tuple[tuple[Value, ...], Series]:
         """Position, velocity, attraction and voltage at times within the step, and the series that all else is of."""

@@ -34,7 +34,7 @@ GAP, STROKE, RATIO, RESTITUTION_STOP, RESTITUTION_SEAT, COMPLIANCE, DELAY, SENSO
 RELEASE, MAY_RISE, LAG, MAY_FALL = 50, 51, 52, 53
 ACCELERATION, NET, UP, DOWN, UP_RATE, DOWN_RATE, CURRENT, CURRENT_RATE, PULL, TERMINAL, COIL_RATES = range(54, 65)
 """What `look` fills in: m/s², N, N, N, N/s, N/s, –, 1/s, N, V, and the rates of the states of the coil (five)."""
-MOVE, REST, AT, SPOT, ROW, ROWS_AT, LOOK, DECIDE, PREPARE = range(68, 77)
+MOVE, REST, AT, SPOT, ROW, LOOK, DECIDE, PREPARE = range(68, 76)
 """Addresses of the kernels, as bits."""
 STATES, GUARDS, IS_CHECKED, HAS_PEAK, IS_FLUX, ONE_PLUNGER = range(77, 83)
 """How many states the coil has, how many guards there are; whether series are checked; whether the peak is asked for;
@@ -91,13 +91,9 @@ GUARD: Final = FLAG + MOST_GUARDS
 """TERMS coefficients of what must not become negative within the step: see `kernels`."""
 SCRATCH: Final = GUARD + (MOST_GUARDS + 3) * TERMS
 """Room for 3 TERMS numbers of the driver."""
-ROWS_LANES: Final = 8
-ROWS: Final = SCRATCH + 3 * TERMS
-"""So many times since the start of a step, s; then as many of each: x, v, attraction, V at the terminals, u, and of gas
-the outlet's pressure and the mass flow."""
 STAGES: Final = 6
 """Of a step of a valve with gas."""
-GAS_K: Final = ROWS + 8 * ROWS_LANES
+GAS_K: Final = SCRATCH + 3 * TERMS
 """Rates of x, v and all other states at each stage, and at the end of the step."""
 WIDE: Final = 2 + MOST_STATES
 """So many at each."""

@@ -137,12 +137,12 @@ class Library:
         return int(self._engine.get_function_address(name))
 
 
-def _target_machine() -> Any:
-    """A description of this processor; each engine takes one of its own."""
+def _target_machine(level: int = 2) -> Any:
+    """A description of this processor, and how hard code is optimised for it; each engine takes one of its own."""
     _initialise()
     target = llvm.Target.from_default_triple()
     return target.create_target_machine(
-        cpu=llvm.get_host_cpu_name(), features=_features(), opt=2, jit=True, codemodel="jitdefault"
+        cpu=llvm.get_host_cpu_name(), features=_features(), opt=level, jit=True, codemodel="jitdefault"
     )
 
 
@@ -152,40 +152,50 @@ def _initialise() -> None:
     llvm.initialize_native_asmprinter()
 
 
-def compiled(text: str) -> bytes:
-    """The object file of a text."""
-    machine = _target_machine()
+def compiled(text: str, *, is_straight: bool = False) -> bytes:
+    """The object file of a text.
+
+    Straight-line code is simplified when its graph is made. All of LLVM's passes would take a third longer and make it
+    no faster; code with branches and calls needs them.
+    """
+    machine = _target_machine(1 if is_straight else 2)
     module = llvm.parse_assembly(text)
     module.verify()
     builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=2))
-    builder.getModulePassManager().run(module, builder)
+    if is_straight:
+        passes = llvm.create_new_module_pass_manager()
+        passes.add_instruction_combine_pass()
+    else:
+        passes = builder.getModulePassManager()
+    passes.run(module, builder)
     return bytes(machine.emit_object(module))
 
 
-def library(key: str, text: Callable[[], str]) -> Library:
+def library(key: str, text: Callable[[], str], *, is_straight: bool = False) -> Library:
     """The code of a text: from disk if it is there, else compiled and kept.
 
     Args:
         key: equal for equal texts, given the sources of this package.
         text: makes the text, if it has to be compiled.
+        is_straight: see `compiled`.
     """
     name = hashlib.sha256(f"{sources()} {key}".encode()).hexdigest()[:32]
     kept = folder_in_use()
     if kept is None:
-        return Library(_compiled(text))
+        return Library(_compiled(text, is_straight))
     path = kept / f"{name}.o"
     with contextlib.suppress(OSError):
         return Library(path.read_bytes())
-    code = _compiled(text)
+    code = _compiled(text, is_straight)
     with contextlib.suppress(OSError):
         _keep(path, code)
     return Library(code)
 
 
-def _compiled(text: Callable[[], str]) -> bytes:
+def _compiled(text: Callable[[], str], is_straight: bool) -> bytes:
     while _SAID:
         _SAID.pop()()
-    return compiled(text())
+    return compiled(text(), is_straight=is_straight)
 
 
 def _keep(path: Path, code: bytes) -> None:

@@ -8,47 +8,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from valve_sim.model.core.layout import (
-    AHEAD,
-    BEYOND,
-    CLOSED_NOW,
-    COIL,
-    COMPLIANCE,
-    CURVE,
-    CURVE_C,
-    CURVE_HIGH,
-    CURVE_INDEX,
-    CURVE_INTERVALS,
-    CURVE_LOW,
-    CURVE_PLACE,
-    DECIDE,
-    DENSITY,
-    DIRECTION,
-    DOWN,
-    FLAG,
-    GAP,
-    GUARDS,
-    HIGH_GUARD,
-    IS_PERIODIC,
-    LIFTED,
-    LIFTED_DOWN,
-    LIFTED_UP,
-    LOOK,
-    LOW_GUARD,
-    MAY_FALL,
-    MAY_RISE,
-    MODE,
-    ON_SEAT,
-    ONE_PLUNGER,
-    PENDING,
-    PLACE,
-    STATES,
-    STROKE,
-    TIME,
-    UP,
-    WARM,
-    WIDTH,
-)  # fmt: skip
+from valve_sim.model.core import layout as at
 from valve_sim.model.core.polynomials import Block, invoke
 from valve_sim.model.core_types import Phase
 
@@ -66,32 +26,32 @@ NO_CURRENT: Final = 1e-12
 
 def enter(b: Block, t: Block) -> None:
     """Derive from the mode, and from whether and which way the plungers move, what the equations ask for."""
-    mode = b[MODE]
-    one = b[ONE_PLUNGER]
-    up = b[DIRECTION] > 0.0
-    b[BEYOND] = 1.0 if mode == OPEN and b[COMPLIANCE] > RIGID else 0.0
-    b[LIFTED] = 1.0 if mode >= MAIN else 0.0
-    b[LIFTED_UP] = 1.0 if mode >= GAP_HOLD or one > 0.0 else 0.0
-    b[LIFTED_DOWN] = 1.0 if mode >= MAIN else 0.0
-    b[CLOSED_NOW] = 1.0 if mode == CLOSED else 0.0
-    b[ON_SEAT] = one * b[CLOSED_NOW]
-    b[MAY_RISE] = 1.0 if mode != OPEN or b[BEYOND] > 0.0 else 0.0
-    b[MAY_FALL] = 1.0 - b[CLOSED_NOW]
+    mode = b[at.MODE]
+    one = b[at.ONE_PLUNGER]
+    up = b[at.DIRECTION] > 0.0
+    b[at.BEYOND] = 1.0 if mode == OPEN and b[at.COMPLIANCE] > RIGID else 0.0
+    b[at.LIFTED] = 1.0 if mode >= MAIN else 0.0
+    b[at.LIFTED_UP] = 1.0 if mode >= GAP_HOLD or one > 0.0 else 0.0
+    b[at.LIFTED_DOWN] = 1.0 if mode >= MAIN else 0.0
+    b[at.CLOSED_NOW] = 1.0 if mode == CLOSED else 0.0
+    b[at.ON_SEAT] = one * b[at.CLOSED_NOW]
+    b[at.MAY_RISE] = 1.0 if mode != OPEN or b[at.BEYOND] > 0.0 else 0.0
+    b[at.MAY_FALL] = 1.0 - b[at.CLOSED_NOW]
     if mode == OPEN and up:
-        b[AHEAD] = 1e300
+        b[at.AHEAD] = 1e300
     elif mode < MAIN and not up:
-        b[AHEAD] = 0.0
+        b[at.AHEAD] = 0.0
     else:
-        b[AHEAD] = b[contact_ahead(b)]
-    if b[CURVE] > 0.0:
-        invoke(b[PLACE], b, t)
-        place_curve(b, t, whole_below(b[CURVE_PLACE]))
-    if b[GUARDS] > 0.0:
-        invoke(b[DECIDE], b, t)
-    if b[CURVE] > 0.0:
-        b[FLAG + int(b[LOW_GUARD])] = 1.0
-        b[FLAG + int(b[HIGH_GUARD])] = 1.0
-    b[PENDING] = 0.0
+        b[at.AHEAD] = b[contact_ahead(b)]
+    if b[at.CURVE] > 0.0:
+        invoke(b[at.PLACE], b, t)
+        place_curve(b, t, whole_below(b[at.CURVE_PLACE]))
+    if b[at.GUARDS] > 0.0:
+        invoke(b[at.DECIDE], b, t)
+    if b[at.CURVE] > 0.0:
+        b[at.FLAG + int(b[at.LOW_GUARD])] = 1.0
+        b[at.FLAG + int(b[at.HIGH_GUARD])] = 1.0
+    b[at.PENDING] = 0.0
 
 
 def whole_below(a: float) -> float:
@@ -101,44 +61,44 @@ def whole_below(a: float) -> float:
 
 def place_curve(b: Block, t: Block, index: float) -> None:
     """Put the cubic of an interval of the curve of splines into the equations; beyond its ends a constant."""
-    last = b[CURVE_INTERVALS] - 1.0
-    b[CURVE_INDEX] = index
-    b[CURVE_LOW] = index
-    b[CURVE_HIGH] = index + 1.0
+    last = b[at.CURVE_INTERVALS] - 1.0
+    b[at.CURVE_INDEX] = index
+    b[at.CURVE_LOW] = index
+    b[at.CURVE_HIGH] = index + 1.0
     first = index
-    at = 0.0
+    place = 0.0
     varies = 1.0
-    if b[IS_PERIODIC] > 0.0:
+    if b[at.IS_PERIODIC] > 0.0:
         first = index - (last + 1.0) * whole_below(index / (last + 1.0))
     elif not (index >= 0.0):
-        b[CURVE_LOW] = -FAR
-        b[CURVE_HIGH] = 0.0
+        b[at.CURVE_LOW] = -FAR
+        b[at.CURVE_HIGH] = 0.0
         first = 0.0
         varies = 0.0
     elif index > last:
-        b[CURVE_LOW] = last + 1.0
-        b[CURVE_HIGH] = FAR
+        b[at.CURVE_LOW] = last + 1.0
+        b[at.CURVE_HIGH] = FAR
         first = last
-        at = 1.0
+        place = 1.0
         varies = 0.0
     if not (0.0 <= first <= last):
         first = 0.0  # of a place that is no number, with which the step fails
-    width = int(b[WIDTH])
-    set_cubic(b, 1, b, first, at, varies)
+    width = int(b[at.WIDTH])
+    set_cubic(b, 1, b, first, place, varies)
     for k in range(width):
-        set_cubic(t[k:], width, b, first, at, varies)
+        set_cubic(t[k:], width, b, first, place, varies)
 
 
-def set_cubic(own: Block, stride: int, b: Block, first: float, at: float, varies: float) -> None:
+def set_cubic(own: Block, stride: int, b: Block, first: float, place: float, varies: float) -> None:
     """The coefficients of the cubic of four B-splines, of values or of their tangents in one direction.
 
     Args:
         own: the values, or the tangents. stride: from one slot to the next. first: number of the first B-spline.
-        at, varies: 0 and 1; beyond an end the place where the curve stays, and 0.
+        place, varies: 0 and 1; beyond an end the place where the curve stays, and 0.
     """
-    slot = int(b[CURVE]) + int(first)
-    beyond = int(b[CURVE]) + int(b[CURVE_INTERVALS])
-    back = int(b[CURVE_INTERVALS]) if b[IS_PERIODIC] > 0.0 else 0
+    slot = int(b[at.CURVE]) + int(first)
+    beyond = int(b[at.CURVE]) + int(b[at.CURVE_INTERVALS])
+    back = int(b[at.CURVE_INTERVALS]) if b[at.IS_PERIODIC] > 0.0 else 0
     c0 = own[slot * stride]
     slot += 1
     c1 = own[(slot if slot < beyond else slot - back) * stride]
@@ -149,33 +109,33 @@ def set_cubic(own: Block, stride: int, b: Block, first: float, at: float, varies
     d1 = 0.5 * (c2 - c0)
     d2 = 0.5 * (c0 - 2.0 * c1 + c2)
     d3 = (c3 - 3.0 * c2 + 3.0 * c1 - c0) / 6.0
-    own[CURVE_C * stride] = (c0 + 4.0 * c1 + c2) / 6.0 + at * (d1 + d2 + d3)
-    own[(CURVE_C + 1) * stride] = varies * d1
-    own[(CURVE_C + 2) * stride] = varies * d2
-    own[(CURVE_C + 3) * stride] = varies * d3
+    own[at.CURVE_C * stride] = (c0 + 4.0 * c1 + c2) / 6.0 + place * (d1 + d2 + d3)
+    own[(at.CURVE_C + 1) * stride] = varies * d1
+    own[(at.CURVE_C + 2) * stride] = varies * d2
+    own[(at.CURVE_C + 3) * stride] = varies * d3
 
 
 def contact_ahead(b: Block) -> int:
     """The slot of the position of the contact that the plungers move towards; that of the time for the seat."""
-    if b[MODE] == OPEN:
-        return STROKE
-    if b[MODE] == MAIN:
-        return STROKE if b[DIRECTION] > 0.0 else GAP
-    return GAP if b[DIRECTION] > 0.0 else TIME
+    if b[at.MODE] == OPEN:
+        return at.STROKE
+    if b[at.MODE] == MAIN:
+        return at.STROKE if b[at.DIRECTION] > 0.0 else at.GAP
+    return at.GAP if b[at.DIRECTION] > 0.0 else at.TIME
 
 
 def settle_coil(b: Block, t: Block) -> None:
     """Set negligible currents of a coil without voltage to 0: while they fade, an hour takes a million steps."""
-    states = int(b[STATES])
-    warm = int(b[WARM])
-    gas = int(b[DENSITY])
+    states = int(b[at.STATES])
+    warm = int(b[at.WARM])
+    gas = int(b[at.DENSITY])
     for i in range(states):
-        if i != warm and COIL + i != gas and abs(b[COIL + i]) > NO_CURRENT:
+        if i != warm and at.COIL + i != gas and abs(b[at.COIL + i]) > NO_CURRENT:
             return
     for i in range(states):
-        if i != warm and COIL + i != gas:
-            b[COIL + i] = 0.0
-            set_tangents(b, t, COIL + i, COIL + i, 0.0)
+        if i != warm and at.COIL + i != gas:
+            b[at.COIL + i] = 0.0
+            set_tangents(b, t, at.COIL + i, at.COIL + i, 0.0)
 
 
 def divided(a: float, c: float) -> float:
@@ -185,17 +145,17 @@ def divided(a: float, c: float) -> float:
 
 def set_tangents(b: Block, t: Block, slot: int, source: int, factor: float) -> None:
     """Make the tangents in a slot those of another one, times a factor."""
-    width = int(b[WIDTH])
+    width = int(b[at.WIDTH])
     for k in range(width):
         t[slot * width + k] = factor * t[source * width + k]
 
 
 def push_now(b: Block, t: Block) -> float:
     """Which way the forces move plungers at rest: +1, −1, or 0 for not at all."""
-    invoke(b[LOOK], b, t)
-    if b[UP] > 0.0:
+    invoke(b[at.LOOK], b, t)
+    if b[at.UP] > 0.0:
         return 1.0
-    return -1.0 if b[DOWN] > 0.0 else 0.0
+    return -1.0 if b[at.DOWN] > 0.0 else 0.0
 
 
 def before(time: float) -> float:

@@ -12,8 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.model.core import driver, entries, gas_steps, layout, modes, steps
-from valve_sim.model.core.entries import ENTRIES, Method
+from valve_sim.model.core import driver, gas_steps, layout, modes, steps
 from valve_sim.model.core.equations import build
 from valve_sim.model.core.kernels import NAMES, Kernels
 from valve_sim.model.core.lowering import lowered
@@ -23,8 +22,24 @@ from valve_sim.model.errors import ParameterError
 
 Array = NDArray[np.float64]
 POINTER: Final = ctypes.c_void_p
-_SLOTS: Final = {name: getattr(layout, "ROWS_AT" if name == "rows" else name.upper()) for name in NAMES}
-_ENTRIES: Final = ("drive", "renumber", "start", "batch", "settle", "set_pressures", "whole", *ENTRIES)
+_SLOTS: Final = {name: getattr(layout, name.upper()) for name in NAMES}
+_DOUBLE, _INTEGER = ctypes.c_double, ctypes.c_int64
+_SIGNATURES: Final[dict[str, tuple[Any, ...]]] = {
+    "whole": (_INTEGER, *[POINTER] * 3, _INTEGER, POINTER, _INTEGER, POINTER, _INTEGER, POINTER, _INTEGER,
+              *[_DOUBLE] * 3),
+    "drive": (_INTEGER, *[POINTER] * 3, _INTEGER, _DOUBLE, _INTEGER, POINTER, _INTEGER, POINTER, _INTEGER,
+              *[POINTER] * 2, _INTEGER, *[POINTER] * 4, _INTEGER),
+    "batch": (_INTEGER, *[POINTER] * 3, _INTEGER, _INTEGER, _DOUBLE, POINTER, _INTEGER, _DOUBLE, _INTEGER, POINTER,
+              _INTEGER, POINTER),
+    "start": (None, *[POINTER] * 4, _INTEGER, _DOUBLE),
+    "renumber": (None, *[POINTER] * 4),
+    "settle": (None, POINTER),
+    "set_pressures": (None, *[POINTER] * 2),
+    "advance": (_INTEGER, POINTER, _DOUBLE),
+    "command": (_INTEGER, POINTER, _DOUBLE, _DOUBLE),
+    "halt": (_INTEGER, POINTER, _DOUBLE),
+}  # fmt: skip
+"""What each function of the integrator that Python calls returns and takes."""
 
 
 def as_double(address: int) -> float:
@@ -35,31 +50,13 @@ def as_double(address: int) -> float:
 @made_once
 def integrator() -> Library:
     """The compiled integrator."""
-    entries.resolve()
-    return library("driver", lambda: lowered(driver.FUNCTIONS, _ENTRIES) + entries.text())
+    return library("driver", lambda: lowered(driver.FUNCTIONS, tuple(_SIGNATURES)))
 
 
 @made_once
 def entry(name: str) -> Any:
     """A function of the integrator that Python can call; it releases the interpreter's lock."""
-    signature: tuple[Any, ...] = {
-        "drive": (ctypes.c_int64, *[POINTER] * 3, ctypes.c_int64, ctypes.c_double, ctypes.c_int64, POINTER,
-                  ctypes.c_int64, POINTER, ctypes.c_int64, *[POINTER] * 2, ctypes.c_int64, *[POINTER] * 4,
-                  ctypes.c_int64),
-        "renumber": (None, *[POINTER] * 4),
-        "settle": (None, POINTER),
-        "set_pressures": (None, *[POINTER] * 2),
-        "start": (None, *[POINTER] * 4, ctypes.c_int64, ctypes.c_double),
-        "batch": (ctypes.c_int64, *[POINTER] * 3, ctypes.c_int64, ctypes.c_int64, ctypes.c_double, POINTER,
-                  ctypes.c_int64, ctypes.c_double, ctypes.c_int64, POINTER, ctypes.c_int64, POINTER),
-    }[name]  # fmt: skip
-    return ctypes.CFUNCTYPE(*signature)(integrator().address(name))
-
-
-@made_once
-def method(name: str) -> Method:
-    """A function of the integrator as one of Python, to be bound; it lives as long as what is bound to it."""
-    return Method(name, integrator().address(f"py_{name}"))
+    return ctypes.CFUNCTYPE(*_SIGNATURES[name])(integrator().address(name))
 
 
 class Plan:
@@ -91,7 +88,7 @@ class Plan:
             )
         key = f"{system.trace.digest()} {width}"
         self.parameters, self.states = system.parameters, kernels.names
-        self._library = library(key, kernels.text)
+        self._library = library(key, kernels.text, is_straight=True)
         blank = np.zeros(layout.SIZE)
         for name in kernels.made:
             blank[_SLOTS[name]] = as_double(self._library.address(name))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any, Final, TypeAlias
 
-from valve_sim.model.core.layout import SCRATCH, TERMS
+from valve_sim.model.core import layout as at
 
 Block: TypeAlias = Any
 """Doubles that are read and written by index; `b[n:]` begins n further on."""
@@ -54,7 +54,7 @@ def bound(p: Block, w: float, down: float) -> float:
     d5 = down * p[5] * w2 * w2 * w
     power = w2 * w2 * w2
     rest = 0.0
-    for k in range(FINE + 1, TERMS):
+    for k in range(FINE + 1, at.TERMS):
         rest += abs(p[k]) * power
         power *= w
     b0: float = down * p[0]
@@ -73,24 +73,28 @@ def first_fall(b: Block, c: int, h: float, unsure: float) -> float:
         b, c: a block, and the slot where the coefficients of the polynomial begin.
         h: s, up to when it is followed. unsure: it falls only if it comes below −unsure.
     """
-    p = b[SCRATCH:]
-    slopes = b[SCRATCH + TERMS :]
+    p = b[at.SCRATCH :]
+    slopes = b[at.SCRATCH + at.TERMS :]
     power = 1.0
-    for k in range(TERMS):
+    size = 0.0
+    for k in range(at.TERMS):
         p[k] = b[c + k] * power
+        size += abs(p[k])
         power *= h
+    if size == 0.0:
+        return 2.0 * h
     left = 0.0
     width = 1.0
     for _ in range(MOST_TRIALS):
         if p[0] < -unsure:
             return left * h
-        for k in range(1, TERMS):
+        for k in range(1, at.TERMS):
             slopes[k - 1] = k * p[k]
-        slopes[TERMS - 1] = 0.0
+        slopes[at.TERMS - 1] = 0.0
         is_sure = bound(p, width, 1.0) > -unsure
         if not is_sure and (bound(slopes, width, -1.0) > 0.0 or width < NARROWEST):
-            if value_at(p, 0, width, TERMS) < -unsure:
-                return (left + root(p, 0, width, 0.0, -1.0, TERMS)) * h
+            if value_at(p, 0, width, at.TERMS) < -unsure:
+                return (left + root(p, 0, width, 0.0, -1.0, at.TERMS)) * h
             # It comes close to 0 and does not fall through.
             is_sure = True
         if is_sure:
@@ -106,8 +110,8 @@ def first_fall(b: Block, c: int, h: float, unsure: float) -> float:
 
 def shift(p: Block, by: float) -> None:
     """Make a polynomial of TERMS terms one about a place further on."""
-    for i in range(TERMS - 1):
-        for k in range(TERMS - 2, i - 1, -1):
+    for i in range(at.TERMS - 1):
+        for k in range(at.TERMS - 2, i - 1, -1):
             p[k] += by * p[k + 1]
 
 
@@ -119,30 +123,30 @@ def root(b: Block, c: int, h: float, target: float, way: float, terms: int) -> f
     """
     low = 0.0
     high = h
-    at = h
+    here = h
     for _ in range(NEWTON_STEPS):
-        ahead = (value_at(b, c, at, terms) - target) * way
+        ahead = (value_at(b, c, here, terms) - target) * way
         if ahead >= 0.0:
-            high = at
+            high = here
         else:
-            low = at
-        slope = slope_at(b, c, at, terms) * way
-        better = at - ahead / slope if slope > 0.0 else low
+            low = here
+        slope = slope_at(b, c, here, terms) * way
+        better = here - ahead / slope if slope > 0.0 else low
         if not (low < better < high):
-            if better == at or high - low <= 1e-16 * h:
-                return at
+            if better == here or high - low <= 1e-16 * h:
+                return here
             better = 0.5 * (low + high)
-        if abs(better - at) <= 1e-16 * h:
+        if abs(better - here) <= 1e-16 * h:
             return better
-        at = better
-    return at
+        here = better
+    return here
 
 
 def extent(b: Block, c: int, h: float) -> float:
     """The size of a polynomial up to h: the sum of the sizes of its terms."""
     total = 0.0
     power = 1.0
-    for k in range(TERMS):
+    for k in range(at.TERMS):
         total += abs(b[c + k]) * power
         power *= h
     return total

@@ -8,41 +8,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from valve_sim.model.core.layout import (
-    CURRENT,
-    CURRENT_RATE,
-    DELAY,
-    DENSITY,
-    ELAPSED,
-    GAIN,
-    GAP,
-    LATE,
-    LIFTED,
-    MODE,
-    MOVING,
-    ORDER,
-    OUTLET,
-    OUTLET_RATE,
-    RATED,
-    ROW,
-    ROW_V,
-    ROW_X,
-    ROWS,
-    ROWS_AT,
-    ROWS_LANES,
-    SAMPLED,
-    SAMPLED_ROWS,
-    SCRATCH,
-    SENSOR_LAG,
-    SERIES_X,
-    SHOWN_MAIN,
-    SHOWN_PILOT,
-    SPOT,
-    TERMS,
-    TIME,
-    WIDTH,
-    X,
-)  # fmt: skip
+from valve_sim.model.core import layout as at
 from valve_sim.model.core.polynomials import Block, invoke, value_at
 
 ROW_COLUMNS: Final = 9
@@ -63,18 +29,18 @@ def lag_moments(b: float, into: Block) -> None:
     """
     if b > UPWARDS:
         into[0] = -math.expm1(-b)
-        for k in range(1, ORDER + 1):
+        for k in range(1, at.ORDER + 1):
             into[k] = 1.0 - k / b * into[k - 1]
         return
     term = b * math.exp(-b)
     total = 0.0
     j = 0
     while j < b or term > NEGLIGIBLE * total:
-        total += term / (ORDER + 1 + j)
+        total += term / (at.ORDER + 1 + j)
         j += 1
         term *= b / j
-    into[ORDER] = total
-    for k in range(ORDER, 0, -1):
+    into[at.ORDER] = total
+    for k in range(at.ORDER, 0, -1):
         into[k - 1] = (1.0 - into[k]) * b / k
 
 
@@ -84,14 +50,14 @@ def lagged(b: Block, h: float, shown: float, offset: float) -> float:
     Args:
         shown: m, at the start of the step.
     """
-    moments = b[SCRATCH + TERMS :]
-    rate = h / b[SENSOR_LAG]
+    moments = b[at.SCRATCH + at.TERMS :]
+    rate = h / b[at.SENSOR_LAG]
     lag_moments(rate, moments)
     power = 1.0
-    total: float = (b[SERIES_X] - offset) * moments[0]
-    for k in range(1, ORDER + 1):
+    total: float = (b[at.SERIES_X] - offset) * moments[0]
+    for k in range(1, at.ORDER + 1):
         power *= h
-        total += b[SERIES_X + k] * power * moments[k]
+        total += b[at.SERIES_X + k] * power * moments[k]
     return shown * math.exp(-rate) + total
 
 
@@ -101,44 +67,44 @@ def lag_tangents(b: Block, t: Block, h: float, k: int) -> None:
     The moments must be those of h, as `lagged` leaves them, and h above 0. By M_k' = 1 − M_k (1 + k/b), the derivative
     of a moment by the time constants b that have passed.
     """
-    width = int(b[WIDTH])
-    moments = b[SCRATCH + TERMS :]
-    rate = h / b[SENSOR_LAG]
+    width = int(b[at.WIDTH])
+    moments = b[at.SCRATCH + at.TERMS :]
+    rate = h / b[at.SENSOR_LAG]
     left = math.exp(-rate)
     moved = 0.0
     slope = 0.0
     power = 1.0
-    for j in range(ORDER + 1):
-        moved += t[(SERIES_X + j) * width + k] * power * moments[j]
-        slope += b[SERIES_X + j] * power * (1.0 - moments[j] * (1.0 + j / rate))
+    for j in range(at.ORDER + 1):
+        moved += t[(at.SERIES_X + j) * width + k] * power * moments[j]
+        slope += b[at.SERIES_X + j] * power * (1.0 - moments[j] * (1.0 + j / rate))
         power *= h
-    longer = -rate / b[SENSOR_LAG] * t[SENSOR_LAG * width + k]
-    pilot = SHOWN_PILOT * width + k
-    t[pilot] = left * t[pilot] + moved + longer * (slope - left * b[SHOWN_PILOT])
-    main = SHOWN_MAIN * width + k
-    if b[LIFTED] > 0.0:
-        moved -= t[GAP * width + k] * moments[0]
-        slope -= b[GAP] * (1.0 - moments[0])
+    longer = -rate / b[at.SENSOR_LAG] * t[at.SENSOR_LAG * width + k]
+    pilot = at.SHOWN_PILOT * width + k
+    t[pilot] = left * t[pilot] + moved + longer * (slope - left * b[at.SHOWN_PILOT])
+    main = at.SHOWN_MAIN * width + k
+    if b[at.LIFTED] > 0.0:
+        moved -= t[at.GAP * width + k] * moments[0]
+        slope -= b[at.GAP] * (1.0 - moments[0])
     else:
         moved = 0.0
         slope = 0.0
-    t[main] = left * t[main] + moved + longer * (slope - left * b[SHOWN_MAIN])
+    t[main] = left * t[main] + moved + longer * (slope - left * b[at.SHOWN_MAIN])
 
 
 def shown_pilot(b: Block, h: float) -> float:
     """What the sensor of the pilot plunger shows at h since the start of the step, m, without gain."""
-    if b[SENSOR_LAG] > 0.0:
-        return lagged(b, h, b[SHOWN_PILOT], 0.0)
-    return value_at(b, SERIES_X, h, ORDER + 1)
+    if b[at.SENSOR_LAG] > 0.0:
+        return lagged(b, h, b[at.SHOWN_PILOT], 0.0)
+    return value_at(b, at.SERIES_X, h, at.ORDER + 1)
 
 
 def shown_main(b: Block, h: float) -> float:
     """The position of the main plunger as its sensor shows it, at h after the beginning of the step, m."""
-    if b[LIFTED] == 0.0:
-        return b[SHOWN_MAIN] * math.exp(-h / b[SENSOR_LAG]) if b[SENSOR_LAG] > 0.0 else 0.0
-    if b[SENSOR_LAG] > 0.0:
-        return lagged(b, h, b[SHOWN_MAIN], b[GAP])
-    return float(value_at(b, SERIES_X, h, ORDER + 1) - b[GAP])
+    if b[at.LIFTED] == 0.0:
+        return b[at.SHOWN_MAIN] * math.exp(-h / b[at.SENSOR_LAG]) if b[at.SENSOR_LAG] > 0.0 else 0.0
+    if b[at.SENSOR_LAG] > 0.0:
+        return lagged(b, h, b[at.SHOWN_MAIN], b[at.GAP])
+    return float(value_at(b, at.SERIES_X, h, at.ORDER + 1) - b[at.GAP])
 
 
 def fill(
@@ -146,25 +112,25 @@ def fill(
     current_times: Block, current_count: int, currents: Block, current_slopes: Block,
 ) -> None:  # fmt: skip
     """Write the samples of the step up to `last`, s: positions late by the sensor's delay, all else not."""
-    start = b[TIME]
-    delay = b[DELAY]
-    first = int(b[SAMPLED])
+    start = b[at.TIME]
+    delay = b[at.DELAY]
+    first = int(b[at.SAMPLED])
     end = first
-    while end < count and times[end] - b[DELAY] <= last:
+    while end < count and times[end] - b[at.DELAY] <= last:
         end += 1
     if end > first:
-        if columns == 1 and b[SENSOR_LAG] == 0.0:
+        if columns == 1 and b[at.SENSOR_LAG] == 0.0:
             fill_positions(b, times, first, end, rows)
         else:
             for i in range(first, end):
                 h = max(0.0, times[i] - delay - start)
                 row = rows[i * columns :]
-                row[0] = b[GAIN] * shown_pilot(b, h)
+                row[0] = b[at.GAIN] * shown_pilot(b, h)
                 if columns > 1:
-                    row[1] = b[GAIN] * shown_main(b, h)
-        if b[WIDTH] > 0.0:
+                    row[1] = b[at.GAIN] * shown_main(b, h)
+        if b[at.WIDTH] > 0.0:
             fill_slopes(b, t, times, first, end, slopes)
-        b[SAMPLED] = end
+        b[at.SAMPLED] = end
     if columns > 1 or current_count > 0:
         fill_others(b, t, last, times, count, rows, columns, current_times, current_count, currents, current_slopes)
 
@@ -174,68 +140,65 @@ def fill_others(
     current_count: int, currents: Block, current_slopes: Block,
 ) -> None:  # fmt: skip
     """Write all but positions of the samples up to `last`: whole rows, or the current."""
-    first = int(b[SAMPLED_ROWS])
+    first = int(b[at.SAMPLED_ROWS])
     end = first
     if columns > 1:
         while end < count and times[end] <= last:
             end += 1
-        fill_whole_rows(b, t, times, first, end, rows, columns)
+        fill_rows(b, t, times, first, end, rows, columns)
     else:
         while end < current_count and current_times[end] <= last:
             end += 1
-        if b[WIDTH] > 0.0:
-            fill_sloped_currents(b, t, current_times, first, end, currents, current_slopes)
-        else:
-            fill_currents(b, t, current_times, first, end, currents)
-    b[SAMPLED_ROWS] = end
+        fill_currents(b, t, current_times, first, end, currents, current_slopes)
+    b[at.SAMPLED_ROWS] = end
 
 
 def fill_slopes(b: Block, t: Block, times: Block, first: int, end: int, slopes: Block) -> None:
     """Write the tangents of the positions of some samples, as the sensor shows them."""
-    width = int(b[WIDTH])
-    start = b[TIME]
-    delay = b[DELAY]
-    lag = b[SENSOR_LAG]
+    width = int(b[at.WIDTH])
+    start = b[at.TIME]
+    delay = b[at.DELAY]
+    lag = b[at.SENSOR_LAG]
     for i in range(first, end):
         out = slopes[i * width :]
         h = max(0.0, times[i] - delay - start)
-        b[ELAPSED] = h
-        shown = b[X]
+        b[at.ELAPSED] = h
+        shown = b[at.X]
         speed = 0.0
-        of_shown = X * width
-        if lag > 0.0 or b[MOVING] > 0.0:
-            invoke(b[SPOT], b, t)
-            shown = b[ROW_X]
-            speed = b[ROW_V]
-            of_shown = ROW_X * width
+        of_shown = at.X * width
+        if lag > 0.0 or b[at.MOVING] > 0.0:
+            invoke(b[at.SPOT], b, t)
+            shown = b[at.ROW_X]
+            speed = b[at.ROW_V]
+            of_shown = at.ROW_X * width
         if lag > 0.0:
             x = shown
             shown = shown_pilot(b, h)
             speed = (x - shown) / lag
             for k in range(width):
-                before = t[SHOWN_PILOT * width + k]
-                main = t[SHOWN_MAIN * width + k]
+                before = t[at.SHOWN_PILOT * width + k]
+                main = t[at.SHOWN_MAIN * width + k]
                 if h > 0.0:
                     lag_tangents(b, t, h, k)
-                t[ROW_X * width + k] = t[SHOWN_PILOT * width + k]
-                t[SHOWN_PILOT * width + k] = before
-                t[SHOWN_MAIN * width + k] = main
+                t[at.ROW_X * width + k] = t[at.SHOWN_PILOT * width + k]
+                t[at.SHOWN_PILOT * width + k] = before
+                t[at.SHOWN_MAIN * width + k] = main
         for k in range(width):
-            later = t[LATE * width + k] - t[DELAY * width + k]
-            out[k] = b[GAIN] * (t[of_shown + k] + speed * later) + t[GAIN * width + k] * shown
+            later = t[at.LATE * width + k] - t[at.DELAY * width + k]
+            out[k] = b[at.GAIN] * (t[of_shown + k] + speed * later) + t[at.GAIN * width + k] * shown
 
 
 def fill_positions(b: Block, times: Block, first: int, end: int, rows: Block) -> None:
     """Write positions alone, of a sensor that filters nothing: most of what a fit asks for."""
-    start = b[TIME]
-    delay = b[DELAY]
-    gain = b[GAIN]
-    if b[MOVING] == 0.0:
-        shown = gain * b[X]
+    start = b[at.TIME]
+    delay = b[at.DELAY]
+    gain = b[at.GAIN]
+    if b[at.MOVING] == 0.0:
+        shown = gain * b[at.X]
         for i in range(first, end):
             rows[i] = shown
         return
-    c = b[SERIES_X:]
+    c = b[at.SERIES_X :]
     c0 = c[0]
     c1 = c[1]
     c2 = c[2]
@@ -257,64 +220,49 @@ def fill_positions(b: Block, times: Block, first: int, end: int, rows: Block) ->
         rows[i] = gain * (c0 + h * (c1 + h * (c2 + h * (c3 + h * (c4 + h * (c5 + h * (c6 + h * high)))))))
 
 
-def fill_sloped_currents(
-    b: Block, t: Block, times: Block, first: int, end: int, currents: Block, slopes: Block
-) -> None:
-    """Write the currents u of some samples, and their tangents."""
-    width = int(b[WIDTH])
+def fill_currents(b: Block, t: Block, times: Block, first: int, end: int, currents: Block, slopes: Block) -> None:
+    """Write the currents u of some samples, and of gas the pressures of the outlet, with their tangents."""
+    width = int(b[at.WIDTH])
     for i in range(first, end):
-        b[ELAPSED] = max(0.0, times[i] - b[TIME])
-        invoke(b[ROW], b, t)
-        if b[DENSITY] > 0.0:
-            currents[2 * i] = b[CURRENT]
-            currents[2 * i + 1] = b[OUTLET]
+        b[at.ELAPSED] = max(0.0, times[i] - b[at.TIME])
+        invoke(b[at.ROW], b, t)
+        if b[at.DENSITY] > 0.0:
+            currents[2 * i] = b[at.CURRENT]
+            currents[2 * i + 1] = b[at.OUTLET]
             out = slopes[2 * i * width :]
             for k in range(width):
-                out[width + k] = t[OUTLET * width + k] + b[OUTLET_RATE] * t[LATE * width + k]
+                out[width + k] = t[at.OUTLET * width + k] + b[at.OUTLET_RATE] * t[at.LATE * width + k]
         else:
-            currents[i] = b[CURRENT]
+            currents[i] = b[at.CURRENT]
             out = slopes[i * width :]
         for k in range(width):
-            out[k] = t[CURRENT * width + k] + b[CURRENT_RATE] * t[LATE * width + k]
+            out[k] = t[at.CURRENT * width + k] + b[at.CURRENT_RATE] * t[at.LATE * width + k]
 
 
-def fill_currents(b: Block, t: Block, times: Block, first: int, end: int, currents: Block) -> None:
-    """Write the currents u of some samples, ROWS_LANES of them at once; what is left over of these is the last one."""
-    for i in range(first, end, ROWS_LANES):
-        for lane in range(ROWS_LANES):
-            b[ROWS + lane] = max(0.0, times[min(i + lane, end - 1)] - b[TIME])
-        invoke(b[ROWS_AT], b, t)
-        for lane in range(min(ROWS_LANES, end - i)):
-            if b[DENSITY] > 0.0:
-                currents[2 * (i + lane)] = b[ROWS + 5 * ROWS_LANES + lane]
-                currents[2 * (i + lane) + 1] = b[ROWS + 6 * ROWS_LANES + lane]
-            else:
-                currents[i + lane] = b[ROWS + 5 * ROWS_LANES + lane]
+def fill_rows(b: Block, t: Block, times: Block, first: int, end: int, rows: Block, columns: int) -> None:
+    """Write whole rows of some samples, but for the positions that sensors show."""
+    for i in range(first, end):
+        b[at.ELAPSED] = max(0.0, times[i] - b[at.TIME])
+        fill_row(b, t, rows[i * columns :])
 
 
-def fill_whole_rows(b: Block, t: Block, times: Block, first: int, end: int, rows: Block, columns: int) -> None:
-    """Write whole rows of some samples, ROWS_LANES of them at once; what is left over of these is the last one."""
-    for i in range(first, end, ROWS_LANES):
-        for lane in range(ROWS_LANES):
-            b[ROWS + lane] = max(0.0, times[min(i + lane, end - 1)] - b[TIME])
-        invoke(b[ROWS_AT], b, t)
-        for lane in range(min(ROWS_LANES, end - i)):
-            shown = b[ROWS + lane :]
-            row = rows[(i + lane) * columns :]
-            row[5] = shown[ROWS_LANES]
-            row[2] = shown[2 * ROWS_LANES]
-            row[3] = shown[3 * ROWS_LANES]
-            row[4] = b[MODE]
-            row[6] = shown[4 * ROWS_LANES]
-            row[7] = shown[5 * ROWS_LANES]
-            row[8] = shown[5 * ROWS_LANES] * b[RATED]
-            if b[DENSITY] > 0.0:
-                row[9] = shown[6 * ROWS_LANES]
-                row[10] = shown[7 * ROWS_LANES]
+def fill_row(b: Block, t: Block, row: Block) -> None:
+    """Write a whole row at the time `elapsed` of the step, but for the positions that sensors show."""
+    invoke(b[at.ROW], b, t)
+    row[2] = b[at.ROW_V]
+    row[3] = b[at.PULL]
+    row[4] = b[at.MODE]
+    row[5] = b[at.ROW_X]
+    row[6] = b[at.TERMINAL]
+    row[7] = b[at.CURRENT]
+    row[8] = b[at.CURRENT] * b[at.RATED]
+    if b[at.DENSITY] > 0.0:
+        row[9] = b[at.OUTLET]
+        row[10] = b[at.MASS_FLOW]
 
 
 FUNCTIONS: Final = (
     lag_moments, lagged, lag_tangents, shown_pilot, shown_main, fill, fill_others, fill_slopes, fill_positions,
-    fill_sloped_currents, fill_currents, fill_whole_rows,
+    fill_currents, fill_rows, fill_row,
 )  # fmt: skip
 """What is compiled."""

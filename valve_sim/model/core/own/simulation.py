@@ -70,7 +70,9 @@ class Machine:
     def _library(self, width: int) -> machine.Library:
         if width not in self._libraries:
             key = f"own {self.system.trace.digest()} {self._signature()} {width}"
-            self._libraries[width] = machine.library(key, lambda: Kernels(self.system, self._free, width).text())
+            self._libraries[width] = machine.library(
+                key, lambda: Kernels(self.system, self._free, width).text(), is_straight=True
+            )
         return self._libraries[width]
 
     def _signature(self) -> str:
