@@ -3,7 +3,6 @@
 DATA holds the published files as docs/examples/own_plants/make_csv.py says; its plants and maps are those that a reader
 of the documentation has. For each machine `valve-sim identify` fits models to all of its recordings, and `valve-sim
 diagnose` says what it lacks: printed are the commands with their answers, beside what the machine's owners published.
-It is the table of docs/results/earlier.md.
 """
 
 from __future__ import annotations
