@@ -149,17 +149,17 @@ def _node_parameters() -> Iterator[str]:
     yield (
         "SI units. Names under `valve.` and `gas.` are also keys of a parameter file, and so are those of "
         "[effects](effects.md), which are parameters too: `effects.<effect>.<parameter>`. All can be set at run time. "
-        "`tolerances` is the group of that name of a parameter file as one text in JSON; names below it, such as "
-        "`tolerances.stroke`, are taken from files and command lines and at run time, and go into it. Where anything "
-        "of a valve is given, a tolerance that is not is 0: exact, but those of the sensor. "
-        "[How well your numbers are known](../how_to/tolerances.md)."
+        "A tolerance of 0 means exact. Where anything of a valve is given, a tolerance that is not given is 0, but for "
+        "those of the sensor. Effects and gas have tolerances, too: `tolerances.effects.<effect>.<parameter>` and "
+        "`tolerances.gas.<name>`. [How well your numbers are known](../how_to/tolerances.md)."
     )
-    yield _parameters({name: e for name, e in ValveSettings.table().items() if not name.startswith("effects.")})
+    elsewhere = ("effects.", "tolerances.effects.", "tolerances.gas.")
+    yield _parameters({name: e for name, e in ValveSettings.table().items() if not name.startswith(elsewhere)})
     yield "## identification_node"
     yield _parameters(IdentificationSettings.rows())
     yield "## monitor_node"
     yield (
-        "Beside these: `valve.`, `effects.`, `gas.` and `tolerances` as for valve_node, for the valve that it "
+        "Beside these: `valve.`, `effects.`, `gas.` and `tolerances.` as for valve_node, for the valve that it "
         "declares, and read-only."
     )
     yield _parameters(MonitorNodeSettings.rows())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -44,6 +45,12 @@ def chosen_map() -> RecordingMap | None:
 
     path = chosen_map_file()
     return None if path is None else load_map(path)
+
+
+def typed_options(params: Path | None, name: str | None) -> str:
+    """The options that say which valve is meant and where its signals are, as they were typed."""
+    given = {"--params": params, "--map": chosen_map_file(), "--valve": name}
+    return shlex.join([str(word) for option, value in given.items() if value is not None for word in (option, value)])
 
 
 def read_recordings(bags: Sequence[Path], name: str | None, valve: Valve) -> list[Trace]:

@@ -45,7 +45,7 @@ def diagnosed(effects: Effects, seed: int, recorder: Recorder = Recorder()) -> D
         pytest.param(Recorder(colour=0.7), id="coloured", marks=pytest.mark.long),
         pytest.param(Recorder(quantisation=5e-6), id="coarse", marks=pytest.mark.long),
         pytest.param(Recorder(command_jitter=50e-6), id="jitter", marks=pytest.mark.long),
-        pytest.param(Recorder(clock_offset=60e-6, with_current=True), id="clock and current"),
+        pytest.param(Recorder(clock_offset=60e-6, with_current=True), id="clock and current", marks=pytest.mark.long),
     ],
 )
 def test_nothing_is_claimed_where_nothing_is_missing(recorder: Recorder) -> None:
@@ -183,6 +183,7 @@ def test_dampings_that_an_effect_can_take_over_have_intervals_that_say_so() -> N
         assert interval.high - interval.low > 0.3
 
 
+@pytest.mark.long
 @pytest.mark.xfail(
     strict=True,
     raises=AssertionError,

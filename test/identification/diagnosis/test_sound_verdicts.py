@@ -46,16 +46,17 @@ def assert_sound(found: Diagnosis) -> None:
         assert found.unexplained.force == pytest.approx(curve)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "bag",
     [
-        "live.mcap",
         "eight_strokes.mcap",
+        "live.mcap",
         pytest.param(
             "one_opening.mcap",
             marks=pytest.mark.xfail(strict=True, raises=AssertionError, reason="one opening is said to lack nothing"),
         ),
-        pytest.param("friction", marks=pytest.mark.long),
+        "friction",
     ],
 )
 def test_of_the_shipped_bags_only_the_one_with_friction_gets_a_name(bag: str) -> None:
@@ -69,13 +70,10 @@ def test_of_the_shipped_bags_only_the_one_with_friction_gets_a_name(bag: str) ->
 SLICE = ("noise-free, own", "noise-free, plant, with current", "coarse, no noise")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "case",
-    [
-        pytest.param(case, id=case.kind, marks=() if case.kind == SLICE[0] else pytest.mark.long)
-        for case in cases()
-        if case.kind in SLICE and case.seed == 1
-    ],
+    [pytest.param(case, id=case.kind) for case in cases() if case.kind in SLICE and case.seed == 1],
 )
 def test_a_slice_of_the_hard_recordings(case: Case) -> None:
     found = diagnose(case.make(case.seed), [], case.declared)
@@ -94,6 +92,7 @@ def test_strokes_are_held_out_of_bags_of_two_strokes_each() -> None:
     assert found.after.holdout_rmse == pytest.approx(1e-6, rel=0.1)
 
 
+@pytest.mark.long
 def test_a_sample_at_the_command_of_an_instant_coil_makes_no_effect() -> None:
     valve = default_valve().with_values(coil_time_constant=0.0)
     profile = train_profile()
@@ -182,7 +181,7 @@ def made(kind: str, unit: str, extra: Array | float = 0.0, slope: float = 0.0, *
 
 @pytest.mark.parametrize(
     ("kind", "unit", "shown", "scale", "key"),
-    [("current", "A", "mA", 1e3, "rmse_ma"), ("force", "N", "N", 1.0, "rmse"), ("temperature", "K", "K", 1.0, "rmse")],
+    [("current", "A", "mA", 1e3, "rmse_ma"), ("force", "N", "N", 1.0, "rmse")],
 )
 def test_a_user_s_only_channel_counts_whatever_its_kind(
     kind: str, unit: str, shown: str, scale: float, key: str
@@ -198,9 +197,10 @@ def test_a_user_s_only_channel_counts_whatever_its_kind(
     assert report["after"][key]["train"] == pytest.approx(scale * found.after.train_rmse)
 
 
-@pytest.mark.parametrize("role", ["response", "actuation"])
-@pytest.mark.parametrize("quiet", [True, False], ids=["rests", "never rests"])
-@pytest.mark.parametrize(("recordings", "groups"), [(1, 8), (4, 2), (8, 1)])
+@pytest.mark.parametrize(
+    ("recordings", "groups", "role", "quiet"),
+    [(1, 8, "response", True), (4, 2, "response", False), (8, 1, "actuation", False)],
+)
 def test_a_user_s_strokes_count_however_they_were_recorded(
     recordings: int, groups: int, role: Role, *, quiet: bool
 ) -> None:
