@@ -5,11 +5,13 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[1]
+SCRIPT = Path(sys.executable).with_name("valve-sim")
 OLD, NEW = 1_000_000_000, 2_000_000_000
 NEEDED = ("Makefile", "setup.py", "setup.cfg", "package.xml", "pyproject.toml", "tools/environment")
 
@@ -51,3 +53,19 @@ def test_the_model_is_compiled_before_first_use_where_its_sources_are_others(che
 def test_an_environment_is_made_anew_where_what_it_needs_is_declared_otherwise(checkout: Path) -> None:
     os.utime(checkout / "setup.py", (NEW, NEW))
     assert "tools/environment make .venv" in planned(checkout, "run")
+
+
+@pytest.mark.skipif(not SCRIPT.is_file(), reason=f"{SCRIPT} is not here: install the package")
+def test_make_shell_finds_every_program_of_its_environment() -> None:
+    programs = ("valve-sim", "valve_node", "identification_node", "monitor_node", "command_profile")
+    path = [folder for folder in os.environ["PATH"].split(os.pathsep) if Path(folder) != SCRIPT.parent]
+    asked = subprocess.run(
+        [str(ROOT / "tools" / "environment"), "shell", str(SCRIPT.parents[1])],
+        input=f"command -v {' '.join(programs)}; echo makelevel=$MAKELEVEL",
+        env={**os.environ, "PATH": os.pathsep.join(path), "SHELL": "/bin/bash", "MAKELEVEL": "1"},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=True,
+    )
+    assert asked.stdout.splitlines() == [*(str(SCRIPT.with_name(name)) for name in programs), "makelevel="]
