@@ -99,18 +99,6 @@ def test_a_coil_that_cools_too_slowly_to_be_seen_is_named() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.xfail(
-    strict=True,
-    raises=AssertionError,
-    reason="a squeeze film, at odds of 1 to 14 for 1 to 20, is in the class since errors of the recording are",
-)
-def test_stiction_too_small_to_be_told_from_friction_is_no_sure_friction() -> None:
-    verdict = diagnosed({"stiction": {"force": 0.0042, "breakaway": 0.0056, "stribeck_velocity": 0.03}}, 62).verdict
-    (name,) = verdict.effects
-    assert {name, *verdict.confusable_with[name]} == {"coulomb_friction", "stiction"}
-
-
-@pytest.mark.long
 def test_small_stiction_is_in_the_class_of_what_is_named() -> None:
     verdict = diagnosed({"stiction": {"force": 0.0042, "breakaway": 0.0056, "stribeck_velocity": 0.03}}, 62).verdict
     (name,) = verdict.effects

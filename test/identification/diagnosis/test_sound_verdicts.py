@@ -9,12 +9,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
-from plants.recording import Recorder, train_profile
+from plants.recording import train_profile
 
 from benchmarks.campaign.hard import CAMPAIGN, Case, cases
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose, diagnose_plant
-from valve_sim.identification.estimation.budget import Budget
 from valve_sim.identification.plants.protocol import Array, Channel, EffectChoice, ForceMap, Nuisance, Role
 from valve_sim.identification.reporting.diagnosis_json import to_json
 from valve_sim.identification.reporting.summary import recording_advice, summarise
@@ -22,8 +21,6 @@ from valve_sim.model import Drive, Parameter
 from valve_sim.model.effects import basis
 from valve_sim.traces import Signal, read_trace
 from valve_sim.traces.synthetic import Sensor, record
-
-from .test_run import DECLARED, measured
 
 BAGS = Path(__file__).parents[3] / "bags"
 
@@ -100,28 +97,6 @@ def test_a_sample_at_the_command_of_an_instant_coil_makes_no_effect() -> None:
     times = made.coil_current.times + 1e-9 * (np.arange(len(made.times)) % 2)
     found = diagnose([replace(made, coil_current=Signal(times, made.coil_current.values))], [], valve)
     assert (found.verdict.kind, found.verdict.effects) == ("none", ())
-
-
-@pytest.mark.long
-@pytest.mark.xfail(
-    strict=True,
-    raises=AssertionError,
-    reason="beside something unnamed no name is claimed: six of 75 controls would be named wrongly",
-)
-def test_names_beside_a_remainder_are_what_is_written_and_the_remainder_is_beside_them() -> None:
-    trace = measured({"coulomb_friction": {"force": 0.3}}, train_profile(), Recorder(), 3)
-    # A scale's error of 2 µm, every 20 µm: finer than a map's knots, so that neither effect nor map explains it.
-    wave = 2e-6 * np.sin(2.0 * np.pi * trace.pilot_position / 2e-5)
-    trace = replace(trace, pilot_position=trace.pilot_position + wave)
-    found = diagnose([trace], [], DECLARED, budget=Budget(40_000.0))
-    assert found.verdict.kind == "effects"
-    assert {"coulomb_friction", "asymmetric_friction"} & set(found.verdict.effects)
-    assert_sound(found)
-    assert not found.after.adequacy.is_white
-    assert found.unexplained is not None
-    assert np.sqrt(np.mean(np.square(found.unexplained.force))) < 2.0
-    assert "What is left, no" in summarise(found)
-    assert found.after.holdout_rmse < 0.5 * found.before.holdout_rmse
 
 
 # -- a user's plants ---------------------------------------------------------------------------------------------------

@@ -70,10 +70,6 @@ class StrokeSegmenter:
     Times are seconds since any fixed moment. Samples come in the order of their times, and so do commands. Where no
     position comes, those of the coil's current are the samples; where the valve is then only the model says, so that
     neither opening nor closing is judged here, see `held_valve`.
-
-    Args:
-        valve: the declared valve.
-        settings: of the monitor.
     """
 
     def __init__(self, valve: Valve, settings: MonitorSettings) -> None:
@@ -437,6 +433,7 @@ class StrokeSegmenter:
             StrokeRecord(
                 self.strokes, stroke.drive[0][0], trace, remark, stroke.opened, stroke.closed, stroke.fault,
                 self._arrivals.beyond_earliest(stroke.latest) if trace is heard else math.nan,
+                is_dated=trace is not heard,
             )
         )  # fmt: skip
         self.strokes += 1

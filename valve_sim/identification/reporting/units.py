@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from valve_sim.identification.estimation.intervals import Interval
-from valve_sim.identification.plants.protocol import KEY_OF_UNIT, Plant
+from valve_sim.identification.plants.protocol import KEY_OF_UNIT
 
 _PREFIXES: Final[Mapping[str, tuple[tuple[float, str], ...]]] = {
     "m": ((1e-3, "µm"), (1.0, "mm")),
@@ -64,11 +64,6 @@ def quantity(value: float, unit: str, digits: int = 3) -> str:
 def three_digits(value: float) -> str:
     """With trailing zeros, 1.00, so that columns can be compared; – where it is not known."""
     return "–" if math.isnan(value) else _short(value, 3)
-
-
-def listed_values(plant: Plant, values: Mapping[str, float], digits: int = 4) -> str:
-    """Values by name, each with its unit, as in a sentence."""
-    return ", ".join(f"{name} {quantity(value, plant.parameter(name).unit, digits)}" for name, value in values.items())
 
 
 def in_unit(name: str, value: Any, unit: str) -> dict[str, Any]:
