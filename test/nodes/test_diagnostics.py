@@ -12,7 +12,6 @@ from valve_sim.model import Phase
 from valve_sim.nodes.diagnostics import (
     Level,
     RejectionCount,
-    Reminder,
     Status,
     command_status,
     pressure_status,
@@ -20,8 +19,8 @@ from valve_sim.nodes.diagnostics import (
     valve_status,
 )
 from valve_sim.nodes.live_valve import LiveValve
-from valve_sim.nodes.monitor_work import InputCount
-from valve_sim.nodes.realtime import Timing
+from valve_sim.nodes.monitor_work import InputCount, StampCheck
+from valve_sim.nodes.realtime import NANOSECONDS, Timing
 
 GOOD = Timing(999.0, 1e-4, 2, 0, 0, 999, 2)
 
@@ -108,39 +107,10 @@ def test_a_publisher_that_cannot_be_heard_is_a_warning() -> None:
 
 
 def test_the_valve_says_where_it_is_and_why_it_was_put_back() -> None:
-    status = valve_status(live_valve(phase=Phase.GAP_HOLD, strokes=3), "", 0)
+    status = valve_status(live_valve(phase=Phase.GAP_HOLD, strokes=3), "")
     assert (status.level, status.message) == (Level.OK, "gap_hold")
     assert (status.values["phase"], status.values["strokes"]) == ("gap_hold", "3")
-    assert valve_status(live_valve(failures=1), "too stiff", 0).level is Level.ERROR
-    status = valve_status(live_valve(), "", 1)
-    assert (status.level, status.values["other nodes of this name"]) == (Level.WARN, "1")
-
-
-def test_trouble_that_lasts_is_said_once_then_ever_more_rarely_with_how_often_it_was_seen() -> None:
-    reminder = Reminder(first=10.0, longest=100.0)
-    lines = {second: reminder.line(float(second), "too busy") for second in range(400)}
-    said = {second: line for second, line in lines.items() if line}
-    assert list(said) == [0, 10, 40, 130, 230, 330]
-    assert said[0] == "too busy"
-    assert said[40] == "too busy; seen 30 times in the last 30 s"
-
-
-def test_trouble_that_was_away_for_as_long_as_the_interval_is_said_at_once() -> None:
-    reminder = Reminder(first=10.0, longest=100.0)
-    seconds = [*range(0, 12), *range(30, 32), 100, 103, 111]
-    said = {second: reminder.line(float(second), "too busy") for second in seconds}
-    assert {second: line for second, line in said.items() if line} == {
-        0: "too busy",
-        10: "too busy; seen 10 times in the last 10 s",
-        100: "too busy",
-        111: "too busy; seen 2 times in the last 11 s",
-    }
-
-
-def test_trouble_now_and_then_does_not_count_from_the_start_each_time() -> None:
-    reminder = Reminder(first=10.0, longest=100.0)
-    said = [second for second in range(0, 300, 5) if reminder.line(float(second), "too busy")]
-    assert said == [0, 10, 40, 130, 230]
+    assert valve_status(live_valve(failures=1), "too stiff").level is Level.ERROR
 
 
 def test_a_rejected_tank_pressure_is_a_warning_until_a_good_one_comes() -> None:
@@ -172,3 +142,35 @@ def test_a_monitor_that_waits_says_why_it_could_not_use_what_came() -> None:
         )
     count.samples += 1
     assert count.status(4.0, 0, "").level is Level.OK
+
+
+DAY = 86_400
+
+
+@pytest.mark.parametrize(
+    ("seconds", "is_simulated", "says"),
+    [
+        (
+            (-999 * DAY, -999 * DAY - 3),
+            False,
+            "/s is stamped 999 days behind this node's clock, which times commands; of a",
+        ),
+        ((5 * 3600,), False, "/s is stamped 5.0 h ahead of this node's clock"),
+        ((-0.5, -0.3, -0.9), False, "/s is stamped 0.3 s behind"),
+        ((999 * DAY,), True, "all must be stamped by /clock, or use_sim_time be false"),
+        ((-0.5, -0.01, -0.9), False, ""),
+        ((), False, ""),
+    ],
+)
+def test_samples_whose_stamps_are_of_another_clock_are_a_warning_with_its_mend(
+    seconds: tuple[float, ...], is_simulated: bool, says: str
+) -> None:
+    check, now = StampCheck(), 1_800_000_000 * NANOSECONDS
+    check.note("/s", 5, 0)  # before the first /clock
+    for apart in seconds:
+        check.note("/s", now + round(apart * NANOSECONDS), now)
+    words = check.look(is_simulated=is_simulated)
+    assert says in words
+    status = InputCount().status(1.0, 0, "a command", 0, words)
+    assert (status.level, status.message) == (Level.WARN, words or "waiting for a command")
+    assert check.look(is_simulated=is_simulated) == "", "since the last look none came"

@@ -1,11 +1,10 @@
-"""What all commands share: one line on stderr for each failure, and help whose examples can be copied."""
+"""What all commands share: one line on stderr for each failure, and help that keeps the lines of its examples."""
 
 from __future__ import annotations
 
 import inspect
 import itertools
 import os
-import re
 import sys
 from pathlib import Path
 from typing import Any, Final, NoReturn
@@ -13,7 +12,6 @@ from typing import Any, Final, NoReturn
 import click
 
 from valve_sim.cli.printing import one_line
-from valve_sim.invocation import invocation
 
 UNUSABLE: Final = 2
 STOPPED: Final = 130
@@ -29,10 +27,6 @@ class Command(click.Command):
 
     def __init__(self, *arguments: Any, **settings: Any) -> None:
         super().__init__(*arguments, **{**settings, "help": _with_examples(settings.get("help"))})
-
-    def get_help(self, ctx: click.Context) -> str:
-        """The help; its examples can be copied into this terminal."""
-        return _as_typed(super().get_help(ctx))
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command, unless what it is to write cannot be written: that is said before any work."""
@@ -51,13 +45,9 @@ class CommandLine(click.Group):
     def __init__(self, *arguments: Any, **settings: Any) -> None:
         super().__init__(*arguments, **{**settings, "help": _with_examples(settings.get("help"))})
 
-    def get_help(self, ctx: click.Context) -> str:
-        """The help; its examples can be copied into this terminal."""
-        return _as_typed(super().get_help(ctx))
-
     def main(self, *arguments: Any, **settings: Any) -> Any:
         """Run the command line and exit."""
-        settings = {"prog_name": invocation(), "complete_var": COMPLETE_VAR, **settings, "standalone_mode": False}
+        settings = {"prog_name": "valve-sim", "complete_var": COMPLETE_VAR, **settings, "standalone_mode": False}
         try:
             code = super().main(*arguments, **settings)
             sys.stdout.flush()
@@ -90,11 +80,6 @@ def _with_examples(text: str | None) -> str | None:
             words = "\n".join(lines)
             parts.append(f"\b\n{words}" if is_example else words)
     return "\n\n".join(parts)
-
-
-def _as_typed(text: str) -> str:
-    """Help whose examples name the program as it is called here, e.g. .venv/bin/valve-sim."""
-    return re.sub(r"^( +)valve-sim(?= )", lambda found: f"{found[1]}{invocation()}", text, flags=re.MULTILINE)
 
 
 def _end(message: str, code: int = UNUSABLE) -> NoReturn:

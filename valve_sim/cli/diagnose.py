@@ -19,9 +19,8 @@ from valve_sim.cli.options import (
     plant_option,
     valve_option,
 )
-from valve_sim.cli.own_plant import chosen_params, is_own, read_plant
 from valve_sim.cli.printing import print_report, progress_bar, provenance
-from valve_sim.cli.reading import declared_valve, read_recordings
+from valve_sim.cli.reading import chosen_params, declared_valve, is_own, read_plant, read_recordings, typed_options
 
 
 @click.command(cls=Command)
@@ -100,5 +99,5 @@ def diagnose(
         result = work(progress, Budget.of_seconds(budget))
     report = to_json(result)
     origin = provenance(params, [report["verdict"]["summary"]])
-    written = write_diagnosis(result, output, origin, plot, report=report)
+    written = write_diagnosis(result, output, origin, plot, report=report, options=typed_options(params, name))
     print_report(report, diagnosis_text(result), written, as_json)

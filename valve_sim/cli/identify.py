@@ -17,9 +17,8 @@ from valve_sim.cli.options import (
     plant_option,
     valve_option,
 )
-from valve_sim.cli.own_plant import chosen_params, is_own, read_plant
 from valve_sim.cli.printing import print_report, progress_bar, provenance, refuse
-from valve_sim.cli.reading import declared_valve, read_recordings
+from valve_sim.cli.reading import chosen_params, declared_valve, is_own, read_plant, read_recordings
 
 
 @click.command(cls=Command)

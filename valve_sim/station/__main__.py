@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from valve_sim.nodes import quiet_start  # noqa: F401 -- first, for its effect
 from valve_sim.nodes.starting import Extra, Program, chosen
 
 opcua_node: Final = Program(
@@ -28,12 +29,12 @@ plc_node: Final = Program(
     plc_node lets a PLC command the coils of valves over Modbus TCP.
 
     It shows the PLC the state of each valve, and de-energises the coils when the PLC's
-    heartbeat stands still. It needs the extra modbus: pip install '.[modbus]'.
+    heartbeat stands still. To poll a PLC that is the server (plc_host) it needs the extra
+    modbus: pip install '.[modbus]'.
 
         plc_node --ros-args -p valves:='[valve]' -p map_file:=registers.csv
 """,
     "docs/how_to/plc.md",
-    needs=Extra("pymodbus.simulator", "modbus", "Modbus TCP"),
 )
 archive_node: Final = Program(
     "archive_node",

@@ -99,10 +99,6 @@ def diagnose_plant(
 ) -> Diagnosis:
     """Trace the residual of any plant to the effect it lacks.
 
-    Args:
-        plant: the machine with its training data. holdout: the same machine with other data, or None.
-        progress, budget: as of `diagnose`.
-
     Raises:
         SimulationError: the declared model cannot be simulated.
     """
@@ -326,6 +322,7 @@ class DiagnosisSession:
         return Verdict(
             decision.kind, decision.names, decision.others, decision.probability, decision.unnamed,
             self._share(self._search.tried[decision.names].fit), self._strokes, self._worth(decision.names),
+            self._search.problem.budget.is_used_up and bool(self._search.untried),
         )  # fmt: skip
 
     # -- what a report has beside --------------------------------------------------------------------------------------
