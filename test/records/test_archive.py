@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import itertools
 import random
+import re
 import sqlite3
 import subprocess
 import sys
+from collections.abc import Iterator
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
 import pytest
 
 from valve_sim.model import ValveError
-from valve_sim.records.archive import Archive, Row
+from valve_sim.records.archive import COLUMNS, Archive, Row
 
 START = datetime(2026, 11, 29, 12, 0, tzinfo=timezone.utc)
 VALVE = "/tank_1/valve"
@@ -108,6 +111,22 @@ def test_it_stays_within_its_years_and_bytes(tmp_path: Path) -> None:
     assert archive.prune(years=1.0, most_bytes=size // 2) and archive.size() <= size // 2
     archive.prune(years=1.0, most_bytes=0)
     assert numbers(archive) == [-1], "the last month stays"
+
+
+def test_a_stroke_takes_the_bytes_that_the_page_says(tmp_path: Path) -> None:
+    archive, values = Archive(tmp_path, is_written=True), random_values()
+    archive.write(Row("strokes", VALVE, START + timedelta(seconds=36 * n), next(values)) for n in range(3000))
+    page = Path(__file__).parents[2] / "docs" / "how_to" / "archive.md"
+    (said,) = re.findall(r"A stroke takes (\d+) bytes", page.read_text(encoding="utf-8"))
+    assert archive.size() / 3000 == pytest.approx(float(said), rel=0.05)
+
+
+def random_values() -> Iterator[dict[str, object]]:
+    """Strokes of which every figure is known."""
+    source = random.Random(1)
+    for number in itertools.count():
+        known: dict[str, object] = {name: source.random() for name, of in COLUMNS["strokes"].items() if of == "REAL"}
+        yield {**known, "number": number, "cause": "coulomb_friction", "state": "watching"}
 
 
 def test_a_file_that_is_missing_or_damaged_is_named(tmp_path: Path) -> None:
