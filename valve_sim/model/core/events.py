@@ -49,8 +49,8 @@ JUMPED: Final = 1e-9
 def leave(b: Block, t: Block, ends: int) -> None:
     """Find the derivative δ of the time of an event, and move the tangents of the states to where it is.
 
-    That of a command, NO_EVENT, is known. A comparison that changes changes nothing at once: its δ does not matter.
-    What a jump of the force at the event before sets off at once has the δ of that event.
+    That of a command, NO_EVENT, is known. What a jump of the force at the event before sets off at once has the δ of
+    that event. At a knot of a curve nothing jumps, and δ does not matter; nor does it where the flow of gas switches.
     """
     width = int(b[at.WIDTH])
     if width == 0:
@@ -71,12 +71,20 @@ def leave(b: Block, t: Block, ends: int) -> None:
             delta = divided(-t[at.DOWN * width + k], b[at.DOWN_RATE])
         elif ends == at.CURRENT_GONE:
             delta = divided(-t[at.CURRENT * width + k], b[at.CURRENT_RATE])
+        elif at.FLAGGED <= ends < at.FLOW_SWITCHED and not is_knot(b, ends - at.FLAGGED):
+            slot = at.GUARD_RATE + ends - at.FLAGGED
+            delta = divided(-t[slot * width + k], b[slot])
         t[at.DELTA * width + k] = delta
     move_tangents(b, t, 1.0)
     if b[at.HAS_PEAK] > 0.0 and b[at.PEAK] == abs(b[at.CURRENT]):
         rate = b[at.CURRENT_RATE] if b[at.CURRENT] > 0.0 else -b[at.CURRENT_RATE]
         for k in range(width):
             t[at.PEAK * width + k] += rate * t[at.DELTA * width + k]
+
+
+def is_knot(b: Block, guard: int) -> bool:
+    """Whether a comparison is one with an end of the interval of a curve of splines."""
+    return b[at.CURVE] > 0.0 and (guard == b[at.LOW_GUARD] or guard == b[at.HIGH_GUARD])
 
 
 def arrive(b: Block, t: Block) -> None:
@@ -333,6 +341,8 @@ def end_step(b: Block, t: Block, ends: int, events: Block, room: int) -> None:
         switch_flow(b, events, room)
     else:
         b[at.FLAG + ends - at.FLAGGED] = 1.0 - b[at.FLAG + ends - at.FLAGGED]
+        b[at.FLIPPED] = ends - at.FLAGGED
+        b[at.FLIPPED_AT] = b[at.TIME]
     b[at.GAS_KNOWN] = 0.0
     arrive(b, t)
 
@@ -350,7 +360,7 @@ def switch_flow(b: Block, events: Block, room: int) -> None:
 
 
 FUNCTIONS: Final = (
-    leave, arrive, move_tangents, rescale_velocity, unseat, log_event, come_to_rest, set_off, move_off, touch,
+    leave, is_knot, arrive, move_tangents, rescale_velocity, unseat, log_event, come_to_rest, set_off, move_off, touch,
     touch_seat, touch_gap, turn_round, block_diode, close_circuit, set_voltage, end_step, switch_flow,
 )  # fmt: skip
 """What is compiled."""
