@@ -96,13 +96,19 @@ def derivatives(sets: int, tolerance: float) -> bool:
 
 
 def jumping(sets: int, tolerance: float) -> bool:
-    """Events and the worst derivative of random valves whose friction falls with speed and whose forces jump."""
+    """Events and the worst derivative of random valves whose friction falls with speed and whose forces jump.
+
+    Without those that the reference comes to no end with.
+    """
     late, others, worst, unknown = list[float](), list[int](), list[float](), list[int]()
     with jumps.registered():
         for seed in range(sets):
             case = jumps.random_case(seed)
+            try:
+                theirs = jumps.events_of(case)
+            except RuntimeError:
+                continue
             ours = simulate(case.valve, case.drive, case.times, tolerance=tolerance, start_time=0.0).events
-            theirs = jumps.events_of(case)
             if [event.kind.name for event in ours] != [kind for _, kind in theirs]:
                 others.append(seed)
                 continue
@@ -111,7 +117,7 @@ def jumping(sets: int, tolerance: float) -> bool:
             unknown += [seed] if any(not of_one for of_one in errors) else []
             worst.append(max((min(of_one) for of_one in errors if of_one), default=0.0))
     is_late = summary("events of valves whose forces jump, s", late, LARGEST, others)
-    return all([is_late, summary("of their worst derivatives", worst, ACCURACY, unknown)])
+    return all([is_late, summary("such valves, worst derivative", worst, ACCURACY, unknown)])
 
 
 # --- valves with gas --------------------------------------------------------------------------------------------------
