@@ -42,7 +42,7 @@ PYTEST := -m pytest --durations 10
 SIDE_BY_SIDE := --numprocesses 2 --dist loadfile
 WITH_NODES = $(shell grep --recursive --files-with-matches --include='test_*.py' 'mark\.ros' test)
 # The tests that depend on the ROS distribution.
-KILTED_TESTS := $(foreach name,messages encoded_messages receiving node_clock tables valve_node identification_node monitor_node \
+KILTED_TESTS := $(foreach name,messages receiving node_clock tables valve_node identification_node monitor_node \
 	station supervision refusals,test/nodes/test_$(name).py)
 
 .PHONY: run shell test test-long golden compiled docs nodes tests lint types layers long-nodes long-tests campaign kilted

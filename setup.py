@@ -135,7 +135,7 @@ setup(
             "opcua_node = valve_sim.station.__main__:opcua_node",
             "plc_node = valve_sim.station.__main__:plc_node",
             "valve_node = valve_sim.nodes.__main__:valve_node",
-            "valve-sim = valve_sim.cli:main",
+            "valve-sim = valve_sim.__main__:main",
         ],
     },
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -24,7 +25,7 @@ import numpy as np
 import valve_sim
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.model import Drive
-from valve_sim.reference import pages
+from reference_tables import pages
 from valve_sim.traces import Signal, describe, read_trace, write_bag, write_csv
 from valve_sim.traces.map_draft import draft_map
 from valve_sim.traces.synthetic import Recording, Sensor, record
@@ -57,7 +58,7 @@ from valve_sim.files.parameter_files import default_valve, load_valve, save_valv
 from valve_sim.identification.diagnosis.identify import check_free
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import CATALOGUE, Drive, published_times, simulate
-from valve_sim.reference import pages
+from reference_tables import pages
 from valve_sim.traces import Trace
 
 folder, name, stiffness = sys.argv[1], sys.argv[2], float(sys.argv[3])
@@ -88,7 +89,9 @@ def used(folder: Path, diff: str, script: str, *arguments: object) -> dict[str, 
     shutil.copytree(ROOT / "config", folder / "share" / "valve_sim" / "config")
     subprocess.run(["git", "apply", str(EXAMPLES / diff)], cwd=folder, check=True, timeout=60)
     command = [sys.executable, "-c", script, str(folder), *map(str, arguments)]
-    run = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, timeout=600)
+    places = os.pathsep.join([str(folder), str(ROOT / "docs" / "_ext")])
+    environment = {**os.environ, "PYTHONPATH": places}
+    run = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False, timeout=600)
     assert run.returncode == 0, run.stderr
     found: dict[str, Any] = json.loads(run.stdout)
     assert Path(found["package"]).is_relative_to(folder)

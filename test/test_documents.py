@@ -202,12 +202,9 @@ EXTRAS = {"fleet": "distributed", "history": "distributed", "export-fmu": "pytho
 
 
 @pytest.mark.parametrize("command", sorted(main.commands))
-def test_the_first_example_of_each_help_works_as_printed(
-    command: str, terminal: tuple[Path, dict[str, str]], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_first_example_of_each_help_works_as_printed(command: str, terminal: tuple[Path, dict[str, str]]) -> None:
     if command in EXTRAS:
         pytest.importorskip(EXTRAS[command])
-    monkeypatch.setattr("valve_sim.cli.command_line.invocation", lambda: "valve-sim")
     output = CliRunner().invoke(main, [command, "--help"]).output
     example = next(part for part in output.split("\n\n") if part.startswith("    "))
     folder, environment = terminal

@@ -56,6 +56,7 @@ def test_friction_and_a_load_of_an_axis_are_found_and_measured(tmp_path: Path) -
     assert "left by the best model" in diagnosis_text(diagnosis)
 
 
+@pytest.mark.long
 def test_an_axis_that_does_not_rub_lacks_nothing_and_is_reported_in_newtons(tmp_path: Path) -> None:
     diagnosis = diagnose_plant(axis(tmp_path, 0.0, 0.0), None)
     assert diagnosis.verdict.effects == ()

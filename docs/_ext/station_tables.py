@@ -59,6 +59,13 @@ def _opcua() -> str:
     return "\n".join(lines) + "\n"
 
 
+_REFUSALS: Final = (
+    ("1, illegal function", "every function but 3, 4, 6 and 16"),
+    ("2, illegal data address", "a register beyond the map, or a write to one that the PLC does not write"),
+    ("3, illegal data value", "a command other than 0 and 1, a wrong number of registers, or a wrong length"),
+)
+
+
 def _modbus() -> str:
     registers = [
         (
@@ -82,6 +89,10 @@ def _modbus() -> str:
         "[modbus.csv](modbus.csv) is this table for a PLC's program.",
         "",
         *rows(("register", "name", "type", "unit", "access", "meaning"), registers),
+        "",
+        "A request that is refused changes nothing:",
+        "",
+        *rows(("exception", "of"), _REFUSALS),
         "",
         "Parameters and topics of plc_node are [with those of the other nodes](parameters.md#plc_node).",
     ]

@@ -18,7 +18,9 @@ def generate_launch_description() -> LaunchDescription:
     station = PathJoinSubstitution([FindPackageShare("valve_sim"), "launch", "station.launch.py"])
     return LaunchDescription(
         [
-            IncludeLaunchDescription(PythonLaunchDescriptionSource(station), launch_arguments={"gas": "true"}.items()),
+            IncludeLaunchDescription(
+                PythonLaunchDescriptionSource(station), launch_arguments={"gas": "true", "plc": "false"}.items()
+            ),
             ExecuteProcess(cmd=[sys.executable, str(DISPENSER)], output="screen"),
         ]
     )

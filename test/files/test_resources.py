@@ -7,11 +7,8 @@ import pytest
 from valve_sim.files import resources
 from valve_sim.model.errors import ValveError
 
-INSTALLED_CODE = {
-    "colcon or pip": "lib/python3.12/site-packages/valve_sim",
-    "Debian's pip": "local/lib/python3.12/dist-packages/valve_sim",
-    "pip --target": "valve_sim",
-}
+INSTALLED_CODE = ("lib/python3.12/site-packages/valve_sim", "local/lib/python3.12/dist-packages/valve_sim", "valve_sim")
+"""By colcon or pip, by Debian's pip, by pip --target."""
 
 
 def place(file: Path) -> Path:
@@ -26,7 +23,7 @@ def code_at(monkeypatch: pytest.MonkeyPatch):
     return lambda file: monkeypatch.setattr(resources, "__file__", str(file))
 
 
-@pytest.mark.parametrize("folder", INSTALLED_CODE.values(), ids=INSTALLED_CODE.keys())
+@pytest.mark.parametrize("folder", INSTALLED_CODE)
 def test_an_installation_reads_its_own_share(tmp_path, code_at, folder):
     code_at(place(tmp_path / "prefix" / folder / "files/resources.py"))
     shipped = place(tmp_path / "prefix/share/valve_sim/config/valve.yaml")

@@ -41,6 +41,7 @@ def named(found: Diagnosis) -> set[str]:
     return {*verdict.effects, *itertools.chain.from_iterable(verdict.confusable_with.values())}
 
 
+@pytest.mark.long
 def test_a_plain_error_that_is_larger_by_chance_vetoes_nothing() -> None:
     """Fault 2."""
     delayed = recorded(COARSE, effects={"sensor_delay": {"delay": 6.3e-4}})
@@ -75,6 +76,7 @@ def test_what_explains_nearly_all_is_named_beside_a_remainder_that_held_out_data
     assert (found.verdict.kind, found.verdict.effects) == ("effects", ("strong",))
 
 
+@pytest.mark.long
 def test_an_effect_that_has_grown_is_named() -> None:
     """Fault 22."""
     declared = replace(DECLARED, effects={"coulomb_friction": {"force": 0.1}})

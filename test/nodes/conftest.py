@@ -4,14 +4,23 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Iterator
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import pytest
 from own_domain import own_domain
 
-from valve_sim.nodes.starting import installed_rclpy, offer_profile
-
 from .ros_process import Probe
+
+PROFILE = Path(__file__).with_name("fast_dds.xml")
+
+
+def profile_variable() -> str:
+    """Where Fast DDS looks for its profiles: version 3 of it came with Kilted, whose rclpy is 9."""
+    try:
+        return "FASTRTPS" if int(version("rclpy").partition(".")[0]) < 9 else "FASTDDS"
+    except PackageNotFoundError:
+        return "FASTDDS"
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -23,13 +32,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def in_own_domain() -> Iterator[None]:
-    """No neighbour is heard, and none hears us; nodes that begin are found at once, with the profile of the nodes."""
+    """No neighbour is heard, and none hears us; nodes that begin are found at once."""
     with pytest.MonkeyPatch.context() as patch:
-        wanted: dict[str, str] = {}
-        offer_profile(wanted, Path.cwd(), installed_rclpy())
-        own = {"ROS_DOMAIN_ID": str(own_domain()), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-        for name, value in {**wanted, **own}.items():
-            patch.setenv(name, value)
+        patch.setenv("ROS_DOMAIN_ID", str(own_domain()))
+        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        patch.setenv(f"{profile_variable()}_DEFAULT_PROFILES_FILE", str(PROFILE))
         yield
 
 

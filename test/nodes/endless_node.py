@@ -12,10 +12,10 @@ import sys
 from typing import Any, NoReturn
 
 PLACES = {
-    "valve_node": "nodes.valve:load_stepper",
-    "monitor_node": "nodes.monitor_work:isolate_fault",
-    "identification_node": "nodes.identification:fit_or_diagnose",
-    "command_profile": "nodes.profile:checked_profile",
+    "valve_node": "valve:load_stepper",
+    "monitor_node": "monitor_work:isolate_fault",
+    "identification_node": "identification:fit_or_diagnose",
+    "command_profile": "profile:checked_profile",
 }
 """Module and name of what each node calculates."""
 
@@ -39,12 +39,8 @@ def search_at_once() -> None:
 
 if __name__ == "__main__":
     node = sys.argv.pop(1)
-    module, _, names = PLACES[node].partition(":")
-    owner: Any = importlib.import_module(f"valve_sim.{module}")
-    *owners, name = names.split(".")
-    for part in owners:
-        owner = getattr(owner, part)
-    setattr(owner, name, calculate)
+    module, _, name = PLACES[node].partition(":")
+    setattr(importlib.import_module(f"valve_sim.nodes.{module}"), name, calculate)
     if node == "monitor_node":
         search_at_once()
     raise SystemExit(getattr(importlib.import_module("valve_sim.nodes.__main__"), node)())

@@ -12,7 +12,6 @@ from valve_sim.model import Phase
 from valve_sim.nodes.diagnostics import (
     Level,
     RejectionCount,
-    Reminder,
     Status,
     command_status,
     pressure_status,
@@ -108,39 +107,10 @@ def test_a_publisher_that_cannot_be_heard_is_a_warning() -> None:
 
 
 def test_the_valve_says_where_it_is_and_why_it_was_put_back() -> None:
-    status = valve_status(live_valve(phase=Phase.GAP_HOLD, strokes=3), "", 0)
+    status = valve_status(live_valve(phase=Phase.GAP_HOLD, strokes=3), "")
     assert (status.level, status.message) == (Level.OK, "gap_hold")
     assert (status.values["phase"], status.values["strokes"]) == ("gap_hold", "3")
-    assert valve_status(live_valve(failures=1), "too stiff", 0).level is Level.ERROR
-    status = valve_status(live_valve(), "", 1)
-    assert (status.level, status.values["other nodes of this name"]) == (Level.WARN, "1")
-
-
-def test_trouble_that_lasts_is_said_once_then_ever_more_rarely_with_how_often_it_was_seen() -> None:
-    reminder = Reminder(first=10.0, longest=100.0)
-    lines = {second: reminder.line(float(second), "too busy") for second in range(400)}
-    said = {second: line for second, line in lines.items() if line}
-    assert list(said) == [0, 10, 40, 130, 230, 330]
-    assert said[0] == "too busy"
-    assert said[40] == "too busy; seen 30 times in the last 30 s"
-
-
-def test_trouble_that_was_away_for_as_long_as_the_interval_is_said_at_once() -> None:
-    reminder = Reminder(first=10.0, longest=100.0)
-    seconds = [*range(0, 12), *range(30, 32), 100, 103, 111]
-    said = {second: reminder.line(float(second), "too busy") for second in seconds}
-    assert {second: line for second, line in said.items() if line} == {
-        0: "too busy",
-        10: "too busy; seen 10 times in the last 10 s",
-        100: "too busy",
-        111: "too busy; seen 2 times in the last 11 s",
-    }
-
-
-def test_trouble_now_and_then_does_not_count_from_the_start_each_time() -> None:
-    reminder = Reminder(first=10.0, longest=100.0)
-    said = [second for second in range(0, 300, 5) if reminder.line(float(second), "too busy")]
-    assert said == [0, 10, 40, 130, 230]
+    assert valve_status(live_valve(failures=1), "too stiff").level is Level.ERROR
 
 
 def test_a_rejected_tank_pressure_is_a_warning_until_a_good_one_comes() -> None:

@@ -1,4 +1,4 @@
-"""Whatever a node calculates, a signal ends it within two seconds, with code 0."""
+"""Whatever a node calculates, a signal ends it within two seconds."""
 
 from __future__ import annotations
 
@@ -44,21 +44,18 @@ def seconds_to_end(folder: Path, node: str, number: signal.Signals) -> tuple[flo
             process.send_signal(number)
             process.wait(PATIENCE)
             seconds = (time.monotonic() - start) / max(before, slowness())
-            assert process.wait(ENDS_WITHIN) == 0
+            # The code of command_profile says whether all was sent.
+            assert process.wait(ENDS_WITHIN) == (node == "command_profile")
             assert process.stderr is not None
             return seconds, own_lines(process.stderr.read())
         finally:
             process.kill()
 
 
-@pytest.mark.parametrize(
-    ("node", "number"), [*((node, signal.SIGINT) for node in PLACES), ("monitor_node", signal.SIGTERM)]
-)
-def test_a_node_ends_within_two_seconds_whatever_it_calculates(
-    in_own_domain: None, tmp_path: Path, node: str, number: signal.Signals
-) -> None:
+@pytest.mark.parametrize("node", PLACES)
+def test_a_node_ends_within_two_seconds_whatever_it_calculates(in_own_domain: None, tmp_path: Path, node: str) -> None:
     # A machine that is busy with something else holds up one of them, and not each.
-    tries = (seconds_to_end(tmp_path, node, number) for _ in range(3))
+    tries = (seconds_to_end(tmp_path, node, signal.SIGINT) for _ in range(3))
     seconds, said = next(((seconds, said) for seconds, said in tries if seconds < LONGEST), (LONGEST, []))
     assert seconds < LONGEST
     # While it is still being made, what it reads is nobody's calculation yet.

@@ -63,7 +63,8 @@ def test_of_requests_during_a_search_only_the_latest_is_kept_and_each_finding_ha
         begin(isolation, number)
     search.let_go.release(2)
     end(isolation)
-    assert [(found.finding.strokes, found.occasion.stroke) for found in told] == [(1, 1), (99, 99)]
+    # The first alone may be wrong; the second one agrees with it.
+    assert [(found.finding.strokes, found.occasion.stroke) for found in told] == [(99, 99)]
     assert isolation.found == told[-1]
     assert search.most_running == 1
 
@@ -78,11 +79,11 @@ def test_a_finding_is_new_where_it_names_something_else_or_the_valve_was_commiss
         search.let_go.release()
         end(isolation)
 
-    found("coulomb_friction")
-    found("coulomb_friction")
-    found("stiction")
+    for name in ("coulomb_friction",) * 3 + ("stiction",) * 2:
+        found(name)
     isolation.forget()
-    found("stiction")
+    for _ in range(2):
+        found("stiction")
     assert told == [True, False, True, True]
 
 
@@ -95,9 +96,10 @@ def test_a_valve_that_is_commissioned_anew_is_not_told_what_the_search_before_ha
     search.let_go.release()
     end(isolation)
     assert (told, isolation.found, isolation.failure) == ([], None, "")
-    begin(isolation, 7)
-    search.let_go.release()
-    end(isolation)
+    for number in (6, 7):
+        begin(isolation, number)
+        search.let_go.release()
+        end(isolation)
     assert [found.occasion.stroke for found in told] == [7], "and the next search is wanted again"
 
 

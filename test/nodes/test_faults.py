@@ -189,17 +189,6 @@ def test_a_clock_before_1970_ends_nobody(probe: Probe, tmp_path: Path) -> None:
         assert "Traceback" not in process.output
 
 
-def test_two_nodes_of_one_name_are_warned_of(probe: Probe, tmp_path: Path) -> None:
-    ears = Ears(probe)
-    with valve(tmp_path) as first:
-        assert probe.until(lambda: ears.value("valve", "other nodes of this name") == "0")
-        with valve(tmp_path) as second:
-            assert probe.until(lambda: "2 nodes are called /valve" in first.output)
-            assert probe.until(lambda: "2 nodes are called /valve" in second.output)
-            assert probe.until(lambda: ears.value("valve", "other nodes of this name") == "1")
-        assert probe.until(lambda: ears.value("valve", "other nodes of this name") == "0")
-
-
 def test_a_subscriber_of_another_quality_is_said_in_the_log(probe: Probe, tmp_path: Path) -> None:
     with valve(tmp_path) as process:
         probe.node.create_subscription(JointState, "/valve/joint_states", lambda message: None, LATCHED)

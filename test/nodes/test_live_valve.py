@@ -126,48 +126,10 @@ def test_a_command_given_before_the_clock_began_is_kept() -> None:
     assert not live.timed_out
 
 
-def test_a_valve_that_is_asked_nothing_reads_the_same_without_the_model() -> None:
-    for valve in (default_valve(), default_valve().with_values(seat_load=0.3, pilot_gap=0.0, coil_time_constant=0.0)):
-        by_model, at_rest = LiveValve(valve, scale=0.5), LiveValve(valve, scale=0.5)
-        for live in (by_model, at_rest):
-            live.restart(START, START + 7)
-        for time in (0, MILLISECOND, 3_600_000 * MILLISECOND):
-            assert at_rest.rests_until(START + time)
-            assert at_rest.step_at_rest(START + time) == by_model.step(START + time)
-
-
-def test_what_is_asked_while_the_model_is_made_ready_is_made_up_for_at_its_time() -> None:
-    stepped, waiting = started(command_timeout=0.02), started(command_timeout=0.02)
-    run(stepped, [0.0, 1.0])
-    for time in (START, START + MILLISECOND):
-        waiting.step_at_rest(time)
-    for live in (stepped, waiting):
-        live.command(START + 2 * MILLISECOND, 9.0)
-    assert waiting.rests_until(START + 2 * MILLISECOND - 1)
-    assert not waiting.rests_until(START + 2 * MILLISECOND)
-    run(stepped, [5.0, 8.0, 10.0])
-    (expected,), (step,) = run(stepped, [13.0]), run(waiting, [13.0])
-    assert (step.stamp, step.reading.phase) == (expected.stamp, expected.reading.phase)
-    assert step.reading.pilot_position == pytest.approx(expected.reading.pilot_position, abs=1e-12)
-    assert step.phases == (Phase.PILOT, Phase.MAIN, Phase.OPEN)
-    assert [(stamp - START, coil.voltage) for stamp, coil in step.switches] == [(1_999_999, 0.0), (2_000_000, 9.0)]
-    run(waiting, [30.0])
-    assert waiting.timed_out
-
-
-def test_of_a_valve_that_something_else_may_move_the_model_alone_tells_whether_it_rests() -> None:
-    pushed = dataclasses.replace(default_valve(), effects={"constant_force": {"force": 0.1}})
-    for valve in (pushed, load_valve(CONFIG / "hydrogen_70mpa.yaml")):
-        live = LiveValve(valve)
-        assert not live.can_rest
-        live.restart(START, START)
-        assert not live.rests_until(START)
-
-
 def test_a_flood_while_the_clock_stands_still_fills_no_memory_and_ends_as_if_each_had_been_obeyed() -> None:
     live = with_gas(max_voltage=30.0)
     run(live, [0.0])
-    for index in range(50_000):
+    for index in range(2_000):
         live.command(START + MILLISECOND, 5.0 + index % 20)
         live.set_pressure("inlet_pressure", START + MILLISECOND, 10e6 + index)
         live.set_pressure("demand_pressure", START + MILLISECOND, 2e6 + index)
@@ -176,8 +138,8 @@ def test_a_flood_while_the_clock_stands_still_fills_no_memory_and_ends_as_if_eac
     run(live, [2.0])
     assert (live.volts, live.pressure("inlet_pressure"), live.pressure("demand_pressure")) == (
         24.0,
-        10e6 + 49_999,
-        2e6 + 49_999,
+        10e6 + 1_999,
+        2e6 + 1_999,
     )
     assert live.last_command == START + MILLISECOND
 

@@ -16,6 +16,7 @@ import pytest
 from identification.live_strokes import LiveValve
 
 from nodes.ros import DiagnosticArray, Float64, JointState, String, Trigger
+from valve_sim.nodes.messages import pilot_position, stamp_of
 
 from .plant_on_topics import PlantOnTopics
 from .ros_process import PATIENCE, Diagnostics, Probe, ended, piped, running
@@ -23,6 +24,7 @@ from .ros_process import PATIENCE, Diagnostics, Probe, ended, piped, running
 pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("ros")]
 
 
+ROOT = Path(__file__).parents[2]
 FEW = 8
 """Commissioning strokes, the fewest that are allowed."""
 EXACT: dict[str, object] = {"valve.pilot_mass": 0.109}
@@ -72,47 +74,15 @@ class Ears:
         return [json.loads(report.data) for report in self.reports[before:]]
 
 
-LAB = """
-command: {topic: /plc/volts, unit: mV}
-position: {topic: /plc/joints, joint: lift_2, unit: mm, sign: -1, offset: 2.0}
-"""
-
-
-class Relayed:
-    """A talker that says the same on another topic, in a layout of the lab's own."""
-
-    def __init__(self, talker: Any, said: Any) -> None:
-        self._talker, self._said = talker, said
-        self.get_subscription_count = talker.get_subscription_count
-
-    def publish(self, message: Any) -> None:
-        self._talker.publish(self._said(message))
-
-
-def lab_joints(message: Any) -> Any:
-    return JointState(header=message.header, name=["lift_1", "lift_2"], position=[0.0, 2.0 - 1e3 * message.position[0]])
-
-
 @pytest.mark.any_distribution
-def test_a_valve_with_topics_and_units_of_its_own_is_watched_by_a_map(probe: Probe, tmp_path: Path) -> None:
-    (tmp_path / "lab.yaml").write_text(LAB)
-    plant = PlantOnTopics(probe, LiveValve(seed=5, rate=1e3, jitter=0.0))
-    plant._samples = Relayed(probe.talker("/plc/joints", JointState, 1000), lab_joints)
-    plant._voltage = Relayed(probe.talker("/plc/volts", Float64), lambda message: Float64(data=1e3 * message.data))
-    ears = Ears(probe)
-    with monitoring(tmp_path, map=tmp_path / "lab.yaml", use_sim_time=True, max_rate=1e5, **EXACT) as process:
-        plant.wait_for_monitor()
-        before = len(plant.residuals)
-        reports = plant.strokes(3)
-        assert len(reports) < 3, "a stroke is over when the valve has rested, or strokes again"
-        reports += plant.rest(3)
-        assert [report["opened"] and report["closed"] for report in reports] == [True, True, True]
-        residual = np.array([message.data for message in plant.residuals[before:]])
-        assert np.sqrt(np.mean(residual**2)) == pytest.approx(1e-6, rel=0.2)
-        assert probe.insist(
-            lambda: plant._samples.publish(JointState(position=[-1.0])),
-            lambda: ears.is_said("input", 1, "/plc/joints: -1 m, expected metres"),
-        )
+def test_a_driver_of_the_labs_own_sensor_is_heard_in_metres(probe: Probe, tmp_path: Path) -> None:
+    heard, lvdt = probe.hear("measured/joint_states", JointState), probe.talker("/lab/lvdt", Float64)
+    with piped(tmp_path, [str(ROOT / "docs" / "examples" / "sensor_driver.py")]) as process:
+        before = time.time_ns()
+        assert probe.until(lambda: lvdt.publish(Float64(data=11.5)) is None and probe.until(lambda: heard, 0.05))
+        assert list(heard[0].position) == pytest.approx([1e-3])
+        assert pilot_position(heard[0]) == heard[0].position[0]
+        assert before < stamp_of(heard[0]) < time.time_ns()
         ended(process, signal.SIGINT)
 
 

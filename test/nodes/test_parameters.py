@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import replace
 from typing import Any
@@ -11,7 +10,7 @@ import pytest
 
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.files.parameter_sections import Section
-from valve_sim.model import CATALOGUE, EXACT, ParameterError, Tolerances, ValveParameters
+from valve_sim.model import CATALOGUE, EXACT, ParameterError, Tolerances, Valve, ValveParameters
 from valve_sim.model.gas import GasParameters
 from valve_sim.nodes.parameters import as_declared, files_for_others, sources_of
 from valve_sim.nodes.valve_parameters import (
@@ -20,13 +19,16 @@ from valve_sim.nodes.valve_parameters import (
     check_with_valve,
     valve_of,
     valve_table,
-    with_tolerances,
+    without_orphans,
 )
 
 ENTRIES = ValveSettings.table()
 DEFAULTS = {name: entry.default for name, entry in ENTRIES.items()}
 KNOWN = ((0.01, 2.0, 0.0, 0.0), (2.0, 1e4, 0.0, 0.0), (0.0, 0.0, 1e9, 0.0), (0.0, 0.0, 0.0, 0.0))
-EXACT_VALUES = {**DEFAULTS, "tolerances": ""}
+EXACT_VALUES = {
+    **DEFAULTS,
+    **{name: entry.default for name, entry in valve_table(Valve()).items() if "tol" in name[:3]},
+}
 """Of a valve of which nothing is known how well."""
 
 
@@ -45,7 +47,11 @@ def test_the_table_holds_the_valve_every_effect_and_the_settings() -> None:
     effects = {f"effects.{effect.name}.{name}" for effect in CATALOGUE.values() for name in effect.given_names}
     settings = {"publish_rate", "time_scale", "command_timeout", "max_voltage", "frame_id"}
     gas = {f"gas.{name}" for name in GasParameters._fields}
-    assert ENTRIES.keys() == valve | effects | settings | gas | {"tolerances"}
+    others = {name for name in ENTRIES if not name.startswith("tolerances.")}
+    assert others == valve | effects | settings | gas
+    tolerances = {name.removeprefix("tolerances.") for name in ENTRIES.keys() - others}
+    named = {"attraction_covariance", "stroke", "effects.stiction.breakaway", "gas.inlet_pressure", "sensor.gain"}
+    assert named <= tolerances
 
 
 @pytest.mark.parametrize(
@@ -71,47 +77,37 @@ def test_tolerances_are_checked_as_those_of_a_file() -> None:
     assert valve_of(values, "here").tolerances == Tolerances(
         {"stroke": 4e-6}, None, {"coulomb_friction": {"force": 0.05}}
     )
-    assert json.loads(values["tolerances"]) == {"effects": {"coulomb_friction": {"force": 0.05}}, "stroke": 4e-6}
+    assert (values["tolerances.stroke"], values["tolerances.effects.coulomb_friction.force"]) == (4e-6, 0.05)
     again = {name: value for name, value in values.items() if name.startswith(VALVE_KEYS)}
     assert check_overrides(again, ENTRIES, {}) == values, "as a dump has it"
-    with pytest.raises(ParameterError, match=r"a\.yaml: tolerances\.a0: found 0\.1; .* attraction_covariance"):
+    with pytest.raises(ParameterError, match=r"a\.yaml: tolerances\.a0: found 0\.1 under an unknown name"):
         check_overrides({"tolerances.a0": 0.1}, ENTRIES, {"tolerances.a0": "a.yaml"})
     with pytest.raises(ParameterError, match=r"tolerances\.effects\.stiction\.force: found 0\.1, .*not declared on"):
         check_overrides({"tolerances.effects.stiction.force": 0.1}, ENTRIES, {})
 
 
-KNOWN_OF_STICTION = {"force": 0.01, "stribeck_velocity": 0.01}
-
-
 @pytest.mark.parametrize(
-    ("changes", "left"),
+    ("changes", "zeroed"),
     [
-        ({"effects.stiction.force": 0.0}, KNOWN_OF_STICTION),
-        ({"effects.stiction.force": 0.0, "effects.stiction.breakaway": 0.0}, None),
+        ({"effects.stiction.force": 0.0}, set()),
+        (
+            {"effects.stiction.force": 0.0, "effects.stiction.breakaway": 0.0},
+            {"force", "breakaway", "stribeck_velocity"},
+        ),
         (
             {"effects.stiction.force": 0.0, "effects.stiction.breakaway": 0.0, "tolerances.effects.stiction.force": 1},
-            {"force": 1},
+            {"breakaway", "stribeck_velocity"},
         ),
-        ({"tolerances.effects.stiction.force": 0.02}, {**KNOWN_OF_STICTION, "force": 0.02}),
-        ({"valve.stroke": 2e-3, "effects.no_such_effect.force": 0.0}, KNOWN_OF_STICTION),
+        ({"tolerances.effects.stiction.force": 0.02}, set()),
+        ({"valve.stroke": 2e-3, "effects.no_such_effect.force": 0.0}, set()),
     ],
 )
 def test_an_effect_that_is_switched_off_takes_its_tolerances_with_it(
-    changes: dict[str, object], left: dict[str, float] | None
+    changes: dict[str, object], zeroed: set[str]
 ) -> None:
     values = {**DEFAULTS, "effects.stiction.force": 0.3, "effects.stiction.breakaway": 0.1}
-    values["tolerances"] = json.dumps({"stroke": 4e-6, "effects": {"stiction": KNOWN_OF_STICTION}})
-    completed = with_tolerances(changes, values)
-    tolerances = json.loads(completed.pop("tolerances", values["tolerances"]))
-    assert completed == {name: value for name, value in changes.items() if not name.startswith("tolerances.")}
-    assert tolerances["stroke"] == 4e-6
-    assert tolerances["effects"].get("stiction") == left
-
-
-@pytest.mark.parametrize("text", ["stroke: 4e-6", "[1, 2]", "3", "{", '{"strok": 1e-6}'])
-def test_a_text_that_holds_no_tolerances_is_refused(text: str) -> None:
-    with pytest.raises(ParameterError, match=r"some\.yaml: tolerances"):
-        check_overrides({"tolerances": text}, ENTRIES, {"tolerances": "some.yaml"})
+    completed = without_orphans(changes, values)
+    assert completed == {**changes, **{f"tolerances.effects.stiction.{name}": 0.0 for name in zeroed}}
 
 
 def test_the_defaults_are_the_default_valve_and_pass_their_own_checks() -> None:

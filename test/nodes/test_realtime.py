@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pytest
@@ -85,29 +84,26 @@ def test_timing_counts_rate_lateness_overruns_and_losses() -> None:
 
 
 def test_requests_of_one_time_are_one_of_each_kind_in_the_order_of_their_last() -> None:
-    queue, got = TimedQueue(), []
+    queue, got = TimedQueue(), list[tuple[int, str, float]]()
 
-    def post(time: int, kind: str, value: float, **how: Any) -> None:
-        queue.post(time, kind, lambda time, value: got.append((time, kind, value)), value, **how)
+    def post(time: int, kind: str, value: float) -> None:
+        queue.post(time, kind, lambda time: got.append((time, kind, value)))
 
     for volts in range(10_000):
         post(7, "command", volts)
         post(7, "pressure", -volts)
-    assert len(queue) == 2
-    for limit in (7.0, 30.0, 20.0):
-        post(8, "limit", limit, merge=min)
-    post(8, "command", 5.0)
-    post(8, "limit", 30.0, merge=min)
-    post(8, "reset", 0.0, voids=("command",))
+    post(7, "reset", 0.0)
+    post(7, "command", 5.0)
+    assert len(queue) == 3
     queue.deliver(0, 9)
-    assert got == [(7, "command", 9999), (7, "pressure", -9999), (8, "limit", 7.0), (8, "reset", 0.0)]
+    assert got == [(7, "pressure", -9999), (7, "reset", 0.0), (7, "command", 5.0)]
     assert len(queue) == 0
 
 
 def test_requests_that_come_late_are_delivered_in_the_order_of_their_times() -> None:
-    queue, got = TimedQueue(), []
+    queue, got = TimedQueue(), list[tuple[int, str]]()
     for time, kind in ((5, "reset"), (9, "valve"), (3, "command"), (5, "command"), (7, "command")):
-        queue.post(time, kind, lambda time, kind: got.append((time, kind)), kind)
+        queue.post(time, kind, lambda time, kind=kind: got.append((time, kind)))
     queue.deliver(4, 6)
     assert got == [(4, "command"), (5, "reset"), (5, "command")], "none as of before what has been reached"
     queue.deliver(6, 7)
@@ -115,21 +111,6 @@ def test_requests_that_come_late_are_delivered_in_the_order_of_their_times() -> 
     queue.clear()
     queue.deliver(7, 100)
     assert len(got) == 4
-
-
-def test_a_queue_that_nobody_empties_is_bounded_and_keeps_what_holds_in_the_end(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(TimedQueue, "MOST", 100)
-    queue, got = TimedQueue(), []
-    queue.post(0, "limit", lambda time, value: got.append(("limit", value)), 8.0)
-    for time in range(1, 3 * TimedQueue.MOST):
-        kind = "command" if time % 2 else "pressure"
-        queue.post(time, kind, lambda time, value: got.append((time, value)), time)
-    assert len(queue) == TimedQueue.MOST
-    queue.deliver(0, 3 * TimedQueue.MOST)
-    assert got[0] == ("limit", 8.0), "nothing came in its place"
-    assert got[-2:] == [(time, time) for time in (3 * TimedQueue.MOST - 2, 3 * TimedQueue.MOST - 1)]
 
 
 class ScriptedClock:
@@ -221,25 +202,6 @@ def test_steps_during_which_a_simulated_clock_goes_on_are_late_by_that() -> None
     run.clock.read = read_later  # type: ignore[method-assign]
     run.worker.run()
     assert run.worker.timing.look(0).overruns > 20
-
-
-def test_steps_that_cannot_be_made_yet_are_made_up_for_as_far_as_the_backlog_reaches() -> None:
-    run = Run([simulated(0), simulated(1), simulated(2), simulated(3), simulated(700), simulated(701)])
-    asked: list[int] = []
-
-    def may_step(now: int) -> bool:
-        asked.append(now)
-        return now <= MILLISECOND or len(asked) > 5
-
-    worker = Worker(
-        run.clock, 1000.0, prepare=lambda: None, restart=lambda restart: None, step=run.log.append,
-        fail=run.log.append, may_step=may_step,
-    )  # fmt: skip
-    run.clock.stop = lambda: worker.stop(0.0) and None
-    worker.run()
-    assert asked == [time * MILLISECOND for time in (0, 1, 2, 3, 700, 701)]
-    assert run.log == [k * MILLISECOND for k in (0, 1, *range(202, 702))]
-    assert worker.timing.look(0).lost == 200
 
 
 def test_a_new_rate_goes_on_where_the_old_one_would_have() -> None:

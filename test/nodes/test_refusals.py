@@ -45,18 +45,16 @@ def refusal(said: pytest.CaptureFixture[str], program: str, *arguments: str) -> 
 
 
 @pytest.mark.parametrize(
-    ("program", "arguments", "says"),
+    ("program", "arguments", "environment", "says"),
     [
-        ("valve_node", ["-p", "publish_rat:=100.0"], "did you mean publish_rate"),
-        ("identification_node", [], "bag: not given"),
-        ("monitor_node", ["-p", "commissioning_strokes:=20.5"], "a whole number"),
-        ("command_profile", [], "profile: not given"),
+        ("valve_node", ["-p", "publish_rat:=100.0"], {}, "did you mean publish_rate"),
+        ("command_profile", [], {"ROS_LOG_DIR": "/dev/null/logs"}, "set ROS_LOG_DIR to a folder that can be written"),
     ],
 )
 def test_a_process_ends_with_code_2_and_one_line(
-    in_own_domain: None, tmp_path: Path, program: str, arguments: list[str], says: str
+    in_own_domain: None, tmp_path: Path, program: str, arguments: list[str], environment: dict[str, str], says: str
 ) -> None:
-    process = NodeProcess(tmp_path, ["--ros-args", *arguments], program)
+    process = NodeProcess(tmp_path, ["--ros-args", *arguments], program, **environment)
     assert process.exit_code() == 2, process.output
     (line,) = own_lines(process.output)
     assert line.startswith(f"{program}: ")
@@ -88,7 +86,11 @@ def test_a_bad_file_of_a_valve(here: None, capfd: pytest.CaptureFixture[str], tm
         ("valve_node", "-p valve.pilot_mas:=1.0", "valve_node: command line: valve.pilot_mas: .*mean valve.pilot_mass"),
         ("valve_node", "--params-file none.yaml", "valve_node: none.yaml: cannot be read"),
         ("valve_node", "-p frame_id:=[]", "gives a name without a value"),
+        ("valve_node", "-p tolerances:=x", "tolerances: found .x. under an unknown name"),
         ("valve_node", "--nonsense", "valve_node: ROS 2 refused to start: .*--nonsense"),
+        ("identification_node", "", "bag: not given"),
+        ("monitor_node", "-p commissioning_strokes:=20.5", "a whole number"),
+        ("command_profile", "", "profile: not given"),
         ("identification_node", "-p bag:=nowhere.mcap", "nowhere.mcap"),
         ("identification_node", f"-p bag:={NO_BAG}", NO_BAG.name),
         ("identification_node", "-p bag:=a.mcap -p params:=nowhere.yaml", "nowhere.yaml"),

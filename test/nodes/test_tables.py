@@ -94,7 +94,7 @@ CASES = {
         f"{LISTS['valve']} {LISTS['monitor']} -p port:={{port}} -p folder:={{folder}}", needs="asyncua",
     ),
     "plc_node": Case(
-        "/plc", station.PLC_TOPICS, station.PlcSettings, f"{LISTS['valve']} -p port:={{port}}", needs="pymodbus"
+        "/plc", station.PLC_TOPICS, station.PlcSettings, f"{LISTS['valve']} -p port:={{port}}"
     ),
     "archive_node": Case(
         "/archive", station.ARCHIVE_TOPICS, station.ArchiveSettings,

@@ -127,12 +127,6 @@ def test_a_recording_with_the_coil_dates_a_command_that_was_recorded_late(rested
     assert opening.events[0].after_command == pytest.approx(5.3e-3, abs=0.1e-3)
 
 
-def test_who_comes_late_still_learns_phase_and_is_open(rested: Probe) -> None:
-    phases, is_open = rested.hear("phase", UInt8, latched=True), rested.hear("is_open", Bool, latched=True)
-    assert rested.until(lambda: phases and is_open)
-    assert (phases[0].data, is_open[0].data) == (0, False)
-
-
 def test_it_says_in_one_line_that_it_is_ready_and_under_which_names(valve: NodeProcess, rested: Probe) -> None:
     assert rested.until(lambda: "ready: " in valve.output)
     (line,) = (line for line in valve.output.splitlines() if "ready: " in line)
@@ -352,8 +346,7 @@ def test_simulated_time_is_followed_by_slow_ticks_without_a_warning_and_may_jump
         assert "the clock jumped back" in process.output
 
 
-def test_the_published_valve_is_said_not_to_open_and_logs_go_elsewhere(tmp_path: Path) -> None:
+def test_the_published_valve_is_said_not_to_open(tmp_path: Path) -> None:
     file = ["--params-file", str(config_path("published.yaml"))]
-    with beside(tmp_path, "/published", file, ROS_LOG_DIR="/dev/null/logs") as (published, process):
+    with beside(tmp_path, "/published", file) as (published, process):
         assert published.until(lambda: "the valve cannot open" in process.output)
-        assert "valve_node: /dev/null/logs: cannot be written (Not a directory); logs go to " in process.output

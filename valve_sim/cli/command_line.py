@@ -1,23 +1,23 @@
-"""What all commands share: one line on stderr for each failure, and help whose examples can be copied."""
+"""What all commands share: one line on stderr for each failure, and help that keeps the lines of its examples."""
 
 from __future__ import annotations
 
 import inspect
 import itertools
 import os
-import re
 import sys
+from pathlib import Path
 from typing import Any, Final, NoReturn
 
 import click
 
 from valve_sim.cli.printing import one_line
-from valve_sim.files.ledger import keeping_ledger
-from valve_sim.invocation import invocation
 
 UNUSABLE: Final = 2
 STOPPED: Final = 130
 """Exit codes."""
+WRITTEN: Final = ("output", "plot", "junit")
+"""Options that name a file or a folder to write."""
 COMPLETE_VAR: Final = "_VALVE_SIM_COMPLETE"
 """Environment variable by which a shell asks for completions. The shipped completion scripts use this name."""
 
@@ -28,9 +28,15 @@ class Command(click.Command):
     def __init__(self, *arguments: Any, **settings: Any) -> None:
         super().__init__(*arguments, **{**settings, "help": _with_examples(settings.get("help"))})
 
-    def get_help(self, ctx: click.Context) -> str:
-        """The help; its examples can be copied into this terminal."""
-        return _as_typed(super().get_help(ctx))
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command, unless what it is to write cannot be written: that is said before any work."""
+        from valve_sim.files.whole_files import refuse_unwritable
+
+        for name in WRITTEN:
+            path = ctx.params.get(name)
+            if isinstance(path, Path):
+                refuse_unwritable(path / "any" if path.is_dir() else path)
+        return super().invoke(ctx)
 
 
 class CommandLine(click.Group):
@@ -39,23 +45,18 @@ class CommandLine(click.Group):
     def __init__(self, *arguments: Any, **settings: Any) -> None:
         super().__init__(*arguments, **{**settings, "help": _with_examples(settings.get("help"))})
 
-    def get_help(self, ctx: click.Context) -> str:
-        """The help; its examples can be copied into this terminal."""
-        return _as_typed(super().get_help(ctx))
-
     def main(self, *arguments: Any, **settings: Any) -> Any:
         """Run the command line and exit."""
-        settings = {"prog_name": invocation(), "complete_var": COMPLETE_VAR, **settings, "standalone_mode": False}
+        settings = {"prog_name": "valve-sim", "complete_var": COMPLETE_VAR, **settings, "standalone_mode": False}
         try:
-            with keeping_ledger() as ledger:
-                code = super().main(*arguments, **settings)
+            code = super().main(*arguments, **settings)
             sys.stdout.flush()
         except click.ClickException as error:
             context = getattr(error, "ctx", None)
             hint = f" (see {context.command_path} --help)" if context else ""
             _end(f"{one_line(error.format_message()).removesuffix('.')}{hint}")
         except click.Abort:
-            _end(one_line(f"stopped; {ledger.words()}"), STOPPED)
+            _end("stopped", STOPPED)
         except BrokenPipeError:
             # The reader of the output, such as head, has closed it; the flush at Python's exit must not complain.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -79,11 +80,6 @@ def _with_examples(text: str | None) -> str | None:
             words = "\n".join(lines)
             parts.append(f"\b\n{words}" if is_example else words)
     return "\n\n".join(parts)
-
-
-def _as_typed(text: str) -> str:
-    """Help whose examples name the program as it is called here, e.g. .venv/bin/valve-sim."""
-    return re.sub(r"^( +)valve-sim(?= )", lambda found: f"{found[1]}{invocation()}", text, flags=re.MULTILINE)
 
 
 def _end(message: str, code: int = UNUSABLE) -> NoReturn:

@@ -19,10 +19,8 @@ from valve_sim.cli.options import (
     plant_option,
     valve_option,
 )
-from valve_sim.cli.own_plant import chosen_params, is_own, read_plant
 from valve_sim.cli.printing import print_report, progress_bar, provenance
-from valve_sim.cli.reading import declared_valve, read_recordings
-from valve_sim.files.ledger import plan_files
+from valve_sim.cli.reading import chosen_params, declared_valve, is_own, read_plant, read_recordings, typed_options
 
 
 @click.command(cls=Command)
@@ -89,7 +87,6 @@ def diagnose(
     from valve_sim.identification.reporting.text import diagnosis_text
 
     planned = [*(output / file for file in FILES), *([] if plot is None else [plot])]
-    plan_files(*planned)
     refuse_unwritable(*planned)
     if plant is not None and is_own(plant):
         machine, other = read_plant(plant, bags), read_plant(plant, holdout) if holdout else None
@@ -102,5 +99,5 @@ def diagnose(
         result = work(progress, Budget.of_seconds(budget))
     report = to_json(result)
     origin = provenance(params, [report["verdict"]["summary"]])
-    written = write_diagnosis(result, output, origin, plot, report=report)
+    written = write_diagnosis(result, output, origin, plot, report=report, options=typed_options(params, name))
     print_report(report, diagnosis_text(result), written, as_json)

@@ -12,7 +12,6 @@ from valve_sim.cli.command_line import Command
 from valve_sim.cli.options import FILE, params_option
 from valve_sim.cli.printing import refuse, shown
 from valve_sim.cli.reading import declared_valve
-from valve_sim.invocation import invocation
 
 
 @click.command("map", cls=Command)
@@ -38,12 +37,12 @@ def draft(*, recording: Path, params: Path | None, output: Path | None) -> None:
 
     if output is not None and output.exists():
         refuse(f"--output {output}: exists and may have been edited by hand; choose another name or remove it")
-    text = shown(draft_map(recording, declared_valve(params).parameters, f"{invocation()} {shlex.join(sys.argv[1:])}"))
+    text = shown(draft_map(recording, declared_valve(params).parameters, shlex.join(["valve-sim", *sys.argv[1:]])))
     if output is None:
         click.echo(text, nl=False)
         return
     write_whole(output, text)
     checks = text.count("CHECK") - 1  # one is in the heading
     declared = [] if params is None else ["--params", str(params)]
-    then = f"{invocation()} {shlex.join(['info', str(recording), '--map', str(output), *declared])}"
+    then = shlex.join(["valve-sim", "info", str(recording), "--map", str(output), *declared])
     click.echo(shown(f"wrote {output}; read it, {checks} guesses are marked CHECK; then: {then}"))

@@ -11,7 +11,6 @@ from valve_sim.cli.options import FILE, finite_number, folder_option, json_optio
 from valve_sim.cli.printing import print_report, provenance
 from valve_sim.cli.reading import chosen_map_file, declared_valve
 from valve_sim.files.json_text import json_text
-from valve_sim.files.ledger import plan_files
 
 
 @click.command("fit-force", cls=Command)
@@ -68,7 +67,6 @@ def fit_force(
     valve = declared_valve(params)
     result = fit_static_force(file, valve, sources, degree=degree, voltage=voltage, constant=not no_constant)
     report, picture, parameters = (output / f for f in ("fit-force.json", "fit-force.png", "attraction.yaml"))
-    plan_files(report, picture, parameters)
     write_whole(report, json_text(static_force_json(result)))
     plot_static_force(picture, result)
     notes = ["attraction_polynomial: fitted", *remarks(result.findings)]

@@ -33,9 +33,6 @@ def history(
       valve-sim history tank_1/valve --archive archive --since 2026-01-01 \
           --plot tank_1.png
 
-    Needs the extra parquet:
-      pip install '.[parquet]'
-
     Read on: docs/how_to/archive.md
     """
     from valve_sim.records.archive import Archive

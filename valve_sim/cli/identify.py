@@ -17,10 +17,8 @@ from valve_sim.cli.options import (
     plant_option,
     valve_option,
 )
-from valve_sim.cli.own_plant import chosen_params, is_own, read_plant
 from valve_sim.cli.printing import print_report, progress_bar, provenance, refuse
-from valve_sim.cli.reading import declared_valve, read_recordings
-from valve_sim.files.ledger import plan_files
+from valve_sim.cli.reading import chosen_params, declared_valve, is_own, read_plant, read_recordings
 
 
 @click.command(cls=Command)
@@ -76,7 +74,6 @@ def identify(
     if names == ():
         refuse(f"--free {free!r}: found no name, expected names separated by commas")
     planned = [output / file for file in IDENTIFIED]
-    plan_files(*planned)
     refuse_unwritable(*planned)
     if plant is not None and is_own(plant):
         work = partial(identify_plant, read_plant(plant, bags), names)

@@ -10,18 +10,19 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from valve_sim.cli.command_line import Command
-from valve_sim.cli.options import FILE, json_option, map_option, params_option, valve_option
+from valve_sim.cli.options import bags_argument, json_option, map_option, params_option, valve_option
 from valve_sim.cli.printing import print_json, progress_bar, shown
 from valve_sim.cli.reading import chosen_map, declared_parameters, declared_valve
 from valve_sim.files.json_text import plain
 
 if TYPE_CHECKING:
+    from valve_sim.files.recording_map import RecordingMap
     from valve_sim.identification.diagnosis.recording_state import RecordingState
     from valve_sim.traces import StrokeEvents, Trace, TraceSummary
 
 
 @click.command(cls=Command)
-@click.argument("bag", type=FILE)
+@bags_argument
 @valve_option
 @map_option
 @params_option
@@ -31,8 +32,8 @@ if TYPE_CHECKING:
     "about them, and how large each effect would have to be to be named.",
 )  # fmt: skip
 @json_option
-def info(*, bag: Path, name: str | None, params: Path | None, with_state: bool, as_json: bool) -> None:
-    """Show what a recording contains.
+def info(*, bags: tuple[Path, ...], name: str | None, params: Path | None, with_state: bool, as_json: bool) -> None:
+    """Show what recordings contain.
 
     Valves, signals and their rates, strokes, gaps, clock problems, and what was dropped or repaired on reading:
       valve-sim info bags/friction
@@ -42,16 +43,17 @@ def info(*, bag: Path, name: str | None, params: Path | None, with_state: bool, 
     --state the declared valve is fitted, and the errors of the recording are listed:
       valve-sim info bags/eight_strokes.mcap --state
 
-    One valve of several, for a program:
+    Several recordings are shown one after the other. One valve of several, for a program:
       valve-sim info station_bag --valve /tank_1/valve --json
 
     Read on: docs/reference/info.md, docs/how_to/your_own_recordings.md, docs/how_to/record_well.md
     """
-    from valve_sim.traces import another_valve, describe, doubtful_units, events_from_sensors, list_valves, read_trace
+    from valve_sim.traces import another_valve, describe, doubtful_units, events_from_sensors, read_trace
 
     parameters, recording_map = declared_parameters(params), chosen_map()
     valves = []
-    for valve in (name,) if name else list_valves(bag, recording_map) or (None,):
+    places = [(bag, valve) for bag in bags for valve in _valves_of(bag, name, recording_map)]
+    for bag, valve in places:
         trace = read_trace(bag, valve, recording_map)
         doubts = (*doubtful_units(trace, parameters), *another_valve(trace, parameters))
         trace = dataclasses.replace(trace, findings=(*trace.findings, *doubts))
@@ -64,6 +66,13 @@ def info(*, bag: Path, name: str | None, params: Path | None, with_state: bool, 
         _print_summary(summary, arrivals)
         if state is not None:
             _print_state(state)
+
+
+def _valves_of(bag: Path, name: str | None, recording_map: RecordingMap | None) -> Sequence[str | None]:
+    """The valve that was asked for, or all of a recording; None: the only one, which has no name."""
+    from valve_sim.traces import list_valves
+
+    return (name,) if name else list_valves(bag, recording_map) or (None,)
 
 
 def _state(trace: Trace, params: Path | None) -> RecordingState:

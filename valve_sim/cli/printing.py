@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import shlex
 import sys
+import threading
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, Final, NoReturn
 
 import click
 
@@ -16,13 +18,15 @@ from valve_sim.files.json_text import json_text
 Progress = Callable[[str, float], None]
 
 
+LINE_EVERY: Final = 10.0
+"""s between two lines of progress where stderr is no terminal."""
+
+
 @contextmanager
 def progress_bar() -> Iterator[Progress]:
     """A bar on stderr while that is a terminal; a line every ten seconds elsewhere."""
     if not sys.stderr.isatty():
-        from valve_sim.progress_lines import ProgressLines
-
-        with ProgressLines(sys.stderr) as lines:
+        with _progress_lines() as lines:
             yield lines
         return
     from rich.console import Console
@@ -32,6 +36,28 @@ def progress_bar() -> Iterator[Progress]:
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("starting", total=1.0)
         yield lambda what, fraction: bar.update(task, description=what, completed=fraction)
+
+
+@contextmanager
+def _progress_lines() -> Iterator[Progress]:
+    latest, begun, has_ended = ("starting", 0.0), time.monotonic(), threading.Event()
+
+    def note(what: str, fraction: float) -> None:
+        nonlocal latest
+        latest = (what, fraction)
+
+    def write() -> None:
+        while not has_ended.wait(LINE_EVERY):
+            what, fraction = latest
+            click.echo(f"valve-sim: {time.monotonic() - begun:.0f} s, {100.0 * fraction:.0f} % done: {what}", err=True)
+
+    thread = threading.Thread(target=write, daemon=True)
+    thread.start()
+    try:
+        yield note
+    finally:
+        has_ended.set()
+        thread.join()
 
 
 def print_report(report: Mapping[str, Any], text: str, written: Sequence[Path], as_json: bool) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,10 +11,11 @@ from typing import TYPE_CHECKING
 import click
 
 from valve_sim.cli.options import MAP_KEY
-from valve_sim.cli.printing import shown
+from valve_sim.cli.printing import refuse, shown
 
 if TYPE_CHECKING:
     from valve_sim.files.recording_map import RecordingMap
+    from valve_sim.identification.plants.own import OwnPlant
     from valve_sim.model import Valve, ValveParameters
     from valve_sim.traces import Trace
 
@@ -46,6 +48,12 @@ def chosen_map() -> RecordingMap | None:
     return None if path is None else load_map(path)
 
 
+def typed_options(params: Path | None, name: str | None) -> str:
+    """The options that say which valve is meant and where its signals are, as they were typed."""
+    given = {"--params": params, "--map": chosen_map_file(), "--valve": name}
+    return shlex.join([str(word) for option, value in given.items() if value is not None for word in (option, value)])
+
+
 def read_recordings(bags: Sequence[Path], name: str | None, valve: Valve) -> list[Trace]:
     """Read recordings. What was dropped or repaired is reported on stderr; numbers in another unit are refused."""
     from valve_sim.traces import another_valve, left_out_finding, read_trace, refuse_doubtful_units
@@ -59,3 +67,56 @@ def read_recordings(bags: Sequence[Path], name: str | None, valve: Valve) -> lis
             click.echo(shown(f"valve-sim: {bag}: {finding}"), err=True)
         traces.append(trace)
     return traces
+
+
+# --- machines of a user's own, with --plant ---
+
+
+def is_own(plant: Path | None) -> bool:
+    """Whether --plant names a machine that is no valve."""
+    if plant is None:
+        return False
+    from valve_sim.files.plant_files import is_own_plant
+
+    return is_own_plant(plant)
+
+
+def chosen_params(plant: Path | None, params: Path | None) -> Path | None:
+    """The parameter file of a valve, which --plant may name, too."""
+    if plant is not None and params is not None:
+        refuse("--plant and --params: both name what is declared; give one of them")
+    return plant if params is None else params
+
+
+def read_plant(plant: Path, logs: Sequence[Path]) -> OwnPlant:
+    """A plant with its recordings; what was dropped on reading, and how inputs are joined, is said on stderr."""
+    import numpy as np
+
+    from valve_sim.files.plant_files import load_plant
+    from valve_sim.identification.plants.own import OwnPlant
+    from valve_sim.traces.columns import Columns, read
+
+    file = load_plant(plant)
+    recordings = []
+    for log in logs:
+        recording = read(log, chosen_map_file())
+        if chosen_map_file() is None:  # a table whose columns have the plant's names, and perhaps others beside them
+            own = {name: own for name, own in recording.columns.items() if name in {**file.inputs, **file.outputs}}
+            recording = Columns(recording.source, own, recording.findings)
+        for finding in recording.findings:
+            click.echo(shown(f"valve-sim: {log}: {finding}"), err=True)
+        recordings.append(recording)
+    plant_with_data = OwnPlant(file, recordings)
+    for finding in plant_with_data.findings:
+        click.echo(shown(f"valve-sim: {finding}"), err=True)
+    for name in file.inputs if file.states else ():
+        column = recordings[0][name]
+        held = file.inputs[name].held if column.held is None else column.held
+        half = 500.0 * float(np.median(np.diff(column.times))) if len(column.times) > 1 else 0.0
+        taken = (
+            "held between samples; straight lines would act earlier"
+            if held
+            else ("straight between samples; held levels would act later")
+        )
+        click.echo(f"valve-sim: {name} is {taken} by half of one, {half:.3g} ms", err=True)
+    return plant_with_data

@@ -10,9 +10,8 @@ import click
 
 from valve_sim.cli.command_line import Command
 from valve_sim.cli.options import FILE, finite_number, json_option, map_option, params_option, plant_option
-from valve_sim.cli.own_plant import chosen_params, is_own, simulate_own
 from valve_sim.cli.printing import print_json, refuse
-from valve_sim.cli.reading import declared_valve
+from valve_sim.cli.reading import chosen_map_file, chosen_params, declared_valve, is_own
 
 if TYPE_CHECKING:
     from valve_sim.model import Drive, Event
@@ -120,7 +119,7 @@ def simulate(
     if plant is not None and is_own(plant):
         if voltage is not None or profile is not None or plot is not None:
             refuse("--voltage, --profile and --plot: are for valves; with --plant give a LOG that holds its inputs")
-        simulate_own(plant, log, (duration, rate), seed if with_noise else None, output, as_json=as_json)
+        _simulate_own(plant, log, (duration, rate), seed if with_noise else None, output, as_json=as_json)
         return
     if log is not None:
         refuse(f"{log}: a LOG of inputs is for --plant; a valve takes --voltage or --profile")
@@ -184,3 +183,43 @@ def _print_events(events: Sequence[Event]) -> None:
         click.echo(f"{1e3 * event.time:12.6f} ms  {words:<16}{1e6 * event.position:10.3f} µm{event.velocity:12.6f} m/s")
     if not events:
         click.echo("the valve stays closed")
+
+
+def _simulate_own(
+    plant: Path,
+    log: Path | None,
+    span: tuple[float | None, float],
+    noise_seed: int | None,
+    output: Path,
+    *,
+    as_json: bool,
+) -> None:
+    """`simulate --plant`: what its sensors would show, as a table in the units of its file."""
+    import numpy as np
+
+    from valve_sim.files.plant_files import load_plant
+    from valve_sim.files.whole_files import write_whole
+    from valve_sim.identification.plants.own_simulation import simulate_plant
+    from valve_sim.traces.columns import read
+
+    if output.suffix != ".csv":
+        refuse(f"--output {output}: expected x.csv, a table, with --plant")
+    file = load_plant(plant)
+    recording = None if log is None else read(log, chosen_map_file())
+    if recording is None and file.inputs:
+        refuse(f"--plant {plant}: has inputs ({', '.join(file.inputs)}); give a LOG that holds them, with --map")
+    duration, rate = span
+    if recording is None and duration is None:
+        refuse("--duration: is missing; give it, or a LOG")
+    columns = simulate_plant(file, recording, duration, rate)
+    if noise_seed is not None:
+        random = np.random.default_rng(noise_seed)
+        for name, own in file.outputs.items():
+            columns[name] = columns[name] + random.normal(0.0, (own.noise or 0.0) / own.unit.factor, len(columns[name]))
+    header, rows = ",".join(columns), np.column_stack(list(columns.values()))
+    lines = [header, *(",".join(f"{value:.12g}" for value in row) for row in rows.tolist())]
+    write_whole(output, "\n".join(lines) + "\n")
+    if as_json:
+        print_json({"output": output, "samples": len(columns["time"]), "columns": list(columns)})
+        return
+    click.echo(f"wrote {output} ({len(columns['time'])} samples: {', '.join(columns)})")

@@ -18,10 +18,8 @@ from valve_sim.cli.options import (
     plant_option,
     valve_option,
 )
-from valve_sim.cli.own_plant import chosen_params, is_own, read_plant
 from valve_sim.cli.printing import print_report, progress_bar, refuse, shown
-from valve_sim.cli.reading import declared_valve, read_recordings
-from valve_sim.files.ledger import plan_files
+from valve_sim.cli.reading import chosen_params, declared_valve, is_own, read_plant, read_recordings
 
 Decorated = TypeVar("Decorated", bound=Callable[..., object])
 OUTSIDE: Final = 1
@@ -113,7 +111,6 @@ def validate(
     from valve_sim.identification.validation.replay import validate as replay
 
     planned = [path for path in (junit, plot) if path]
-    plan_files(*planned)
     refuse_unwritable(*planned)
     if plant is not None and is_own(plant):
         result = validate_plant(read_plant(plant, bags), tolerance)

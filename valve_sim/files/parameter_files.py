@@ -18,8 +18,7 @@ Four rules make a file complete:
 * A valve parameter that is not given has the value of the shipped default, config/valve.yaml.
 * An effect's parameter that is not given has its off-value, or its prior scale if it has none. An effect is on when
   one of its parameters differs from its off-value; so a dump, which lists every effect, switches on only what was on.
-* A tolerance that is not given, or 0, means that the value is exact. Those of the shipped default are its own. The
-  whole group may be one text in JSON: a running node has it as one parameter, and `ros2 param dump` writes that.
+* A tolerance that is not given, or 0, means that the value is exact. Those of the shipped default are its own.
 * Without `gas`, or with a `gas.inlet_pressure` of 0, as a dump has it, no gas flows.
 """
 
@@ -27,7 +26,6 @@ from __future__ import annotations
 
 import difflib
 import functools
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -108,8 +106,6 @@ def valve_from_flat(values: Mapping[str, object], source: str, base: Valve | Non
         elif root == "gas":
             _check_name(rest, GasParameters._fields, name, value, source)
             gas[rest] = value
-        elif name == "tolerances":
-            tolerances |= read_tolerances(value, source)
         elif root == "tolerances":
             add_tolerance(tolerances, name, value, source)
         else:
@@ -203,29 +199,6 @@ def _plain(value: Any) -> Any:
 # --- tolerances ---------------------------------------------------------------------------------------------------
 
 
-def tolerances_text(mapping: Mapping[str, Any]) -> str:
-    """The group `tolerances` as one text, in JSON; empty for an empty group."""
-    return json.dumps(mapping, default=list) if mapping else ""
-
-
-def read_tolerances(text: object, source: str) -> dict[str, Any]:
-    """The group `tolerances` out of its text; names and values are not looked at.
-
-    Raises:
-        ParameterError: it is no text, or no object of JSON.
-    """
-    try:
-        found = json.loads(text) if isinstance(text, str) and text else {} if text == "" else None
-    except json.JSONDecodeError:
-        found = None
-    if not isinstance(found, dict):
-        raise ParameterError(
-            f"{source}: tolerances: found {short(text)}, expected names of declared values below it, or all of "
-            'them in JSON, such as {"stroke": 4e-06}'
-        )
-    return found
-
-
 def add_tolerance(tolerances: dict[str, Any], key: str, value: object, source: str) -> None:
     """Put a flat name's tolerance where `Tolerances.from_mapping` looks for it.
 
@@ -236,6 +209,8 @@ def add_tolerance(tolerances: dict[str, Any], key: str, value: object, source: s
         ParameterError: the name is that of a group, not of a value.
     """
     name = key.partition(".")[2]
+    if not name:
+        raise ParameterError(f"{source}: {key}: found {short(value)}, expected names of declared values below it")
     group, dot, rest = name.partition(".")
     if group in ("gas", "sensor"):
         if not dot:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import errno
 import os
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from valve_sim.files.ledger import note_written
 from valve_sim.model.errors import ValveError
 
 
@@ -34,7 +34,6 @@ def atomic_write(path: Path, refusal: type[ValveError] = ValveError, *, durable:
         if durable:
             _flush(partial)
         partial.replace(path)
-        note_written(path)
     except OSError as error:
         raise refusal(f"{path}: cannot be written ({error.strerror}); choose another place") from error
     finally:
@@ -63,20 +62,18 @@ def write_whole(path: Path, text: str, refusal: type[ValveError] = ValveError, *
 
 
 def refuse_unwritable(*paths: Path) -> None:
-    """Say before long work, not after it, that files cannot be written. Makes nothing.
+    """Say before long work, not after it, that files cannot be written. Leaves nothing behind.
 
     Raises:
-        ValveError: one is a folder, or its own folder is a file or is not ours to write to.
+        ValveError: one is a folder, or its own folder is a file or takes no file.
     """
     for path in paths:
         try:
+            if path.is_dir():
+                raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+            # A folder that is not there is made when the file is written.
             place = next(above for above in path.absolute().parents if above.exists())
-            why_not = 0 if os.access(place, os.W_OK | os.X_OK) else errno.EACCES
-            if not place.is_dir():
-                why_not = errno.ENOTDIR
-            elif path.is_dir():
-                why_not = errno.EISDIR
-        except OSError as error:  # a name that is too long, say
-            why_not = error.errno or errno.EINVAL
-        if why_not:
-            raise ValveError(f"{path}: cannot be written ({os.strerror(why_not)}); choose another place")
+            with tempfile.TemporaryFile(dir=place):
+                pass
+        except OSError as error:
+            raise ValveError(f"{path}: cannot be written ({error.strerror}); choose another place") from error

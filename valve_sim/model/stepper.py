@@ -48,16 +48,6 @@ class Reading(NamedTuple):
     mass_flow: float = math.nan
 
 
-def reading_at_rest(valve: Valve, time: float) -> Reading | None:
-    """What a stepper reads of a valve that nobody has commanded since its start, without compiled code; `time` in s.
-
-    None where this does not go without saying: gas flows, and effects may push a plunger.
-    """
-    if valve.effects or valve.gas is not None:
-        return None
-    return Reading(time, *(0.0,) * 7, Phase.CLOSED, (), 0.0)
-
-
 _Change = Callable[[Live], Live]
 """Changes a valve that is stepped, at the time of its state; returns what is stepped from there on."""
 

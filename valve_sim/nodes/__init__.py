@@ -4,8 +4,3 @@
 (`wiring`, `receiving`, `spinning`, `node_clock`, `messages`, `obeyed_topics`, `monitor_inputs`); the rest is tested
 without ROS.
 """
-
-import os
-
-# Before NumPy is loaded: the matrices of a fit are small, and threads that wait for each other take many times as long.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

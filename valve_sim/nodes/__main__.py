@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from valve_sim.nodes import quiet_start  # noqa: F401 -- first, for its effect
 from valve_sim.nodes.starting import Program, chosen
 
 valve_node: Final = Program(
@@ -73,6 +74,7 @@ command_profile: Final = Program(
 """,
     "docs/how_to/record_next.md",
     codes="0 when all was sent, 1 otherwise, 2 for unusable input",
+    unstarted=1,
 )
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What nodes say on /diagnostics, without ROS: timing, command and valve of valve_node."""
+"""What nodes say on /diagnostics, without ROS; here: timing, command and valve of valve_node."""
 
 from __future__ import annotations
 
@@ -136,23 +136,15 @@ def pressure_status(task: str, pressure: float, count: RejectionCount, incompati
     return Status(task, Level.OK, "accepted", values)
 
 
-def valve_status(live: LiveValve, failure: str, duplicates: int) -> Status:
-    """The phase of the valve, and whether it was put back to rest.
-
-    Args:
-        live: the valve. failure: why it was put back to rest last; empty if it never was.
-        duplicates: how many other nodes have this name.
-    """
+def valve_status(live: LiveValve, failure: str) -> Status:
+    """The phase of the valve, and why it was put back to rest last (`failure`, empty if it never was)."""
     values = {
         "phase": live.phase.name.lower(),
         "strokes": str(live.strokes),
         "failures": str(live.failures),
-        "other nodes of this name": str(duplicates),
     }
     if failure:
         return Status("valve", Level.ERROR, f"was put back to rest: {failure}", values)
-    if duplicates:
-        return Status("valve", Level.WARN, "another node has this name, and publishes on the same topics", values)
     return Status("valve", Level.OK, live.phase.name.lower(), values)
 
 
@@ -164,34 +156,3 @@ def unheard_words(publishers: int) -> str:
 def number_words(value: float, form: str) -> str:
     """A number in a format, or "none" for NaN."""
     return "none" if math.isnan(value) else format(value, form)
-
-
-class Reminder:
-    """When a lasting problem gets another line in the log: at once, then at intervals that grow threefold.
-
-    A time without trouble as long as the next interval ends it: what comes later is said at once again.
-
-    Args:
-        first: s from the first line to the second. longest: s that no interval exceeds.
-    """
-
-    def __init__(self, first: float = 10.0, longest: float = 3600.0) -> None:
-        self._first, self._longest = first, longest
-        self._interval = first
-        self._said = self._last = -math.inf
-        self._count = 0
-
-    def line(self, now: float, message: str) -> str:
-        """The line to log about a problem at `now`, s; empty for none."""
-        if now - self._last >= self._interval:
-            self._interval, self._said, self._count = self._first, -math.inf, 0
-        self._last = now
-        self._count += 1
-        if now - self._said < self._interval:
-            return ""
-        is_first = self._said == -math.inf
-        words = message if is_first else f"{message}; seen {self._count} times in the last {now - self._said:.0f} s"
-        if not is_first:
-            self._interval = min(3.0 * self._interval, self._longest)
-        self._said, self._count = now, 0
-        return words

@@ -10,7 +10,7 @@ import contextlib
 import math
 import queue
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -22,7 +22,7 @@ from rclpy.parameter_client import AsyncParameterClient
 from rclpy.task import Future
 from std_msgs.msg import Float64, String
 
-from valve_sim.files.parameter_files import default_valve, load_valve, read_tolerances
+from valve_sim.files.parameter_files import default_valve, load_valve
 from valve_sim.files.parameter_sections import Section, write_sections
 from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.model import ParameterError, Valve
@@ -47,7 +47,7 @@ from valve_sim.nodes.identification_work import (
 )
 from valve_sim.nodes.messages import ReadingMessages
 from valve_sim.nodes.settings import IdentificationSettings
-from valve_sim.nodes.valve_parameters import TOLERANCES, unit_of, valve_table
+from valve_sim.nodes.valve_parameters import unit_of, valve_table
 from valve_sim.nodes.wiring import RosNode, full_name
 
 _DELIVERY: Final = Duration(seconds=2)
@@ -59,8 +59,6 @@ ANSWER_SECONDS: Final = 10.0
 _REQUESTS: Final = 4
 """Requests to a node that does not answer: a reply that is sent before DDS has matched its reader is lost."""
 _DIGITS: Final = 5
-_EXACT: Final = 0.0
-"""Of a tolerance that is not given."""
 Values = dict[str, Any]
 """Flat parameter name to value."""
 
@@ -191,11 +189,11 @@ class IdentificationNode(RosNode[IdentificationSettings]):
             self._node.context.try_shutdown()
 
     def _apply(self, outcome: Outcome, remote: RemoteParameters) -> Applied:
-        """Set the whole valve, effects that are off and tolerances too, at once or not at all; keep what it had."""
+        """Set what the recording determines, all of it at once or nothing; keep what the valve had."""
         logger = self._node.get_logger()
         if outcome.objection and not self._settings.apply_always:
             return Applied(remote.name, False, f"{outcome.objection}; apply_always:=true sets it all the same")
-        new = valve_parameters(outcome.valve)
+        new = valve_parameters(outcome.to_set)
         try:
             old = remote.values(list(new))
             write_sections(self._folder / BEFORE_FILE, [Section(remote.name, old)])
@@ -209,6 +207,10 @@ class IdentificationNode(RosNode[IdentificationSettings]):
         lines = tuple(change.text() for change in changes)
         for line in lines:
             logger.info(f"{remote.name}: {line}")
+        if outcome.held:
+            logger.info(
+                f"{remote.name}: as declared, because the recording does not determine it: {', '.join(outcome.held)}"
+            )
         logger.info(
             f"undo: `ros2 param load {remote.name} {(self._folder / BEFORE_FILE).resolve()}`, or, while this node "
             f"runs (linger:=true), its service ~/undo"
@@ -340,32 +342,16 @@ class RemoteParameters:
 
 
 def changes_between(old: Mapping[str, Any], new: Mapping[str, Any], intervals: Mapping[str, Interval]) -> list[Change]:
-    """The changes from `old` to `new`, tolerances one by one.
+    """The changes from `old` to `new`.
 
     Args:
         old, new: flat names and values. intervals: by the names of a fit, such as pilot_damping or stiction.force.
     """
-    before, after = _with_each_tolerance(old), _with_each_tolerance(new)
-    pairs = {name: (before.get(name, _EXACT), after.get(name, _EXACT)) for name in {**after, **before}}
     return [
-        Change(name, was, becomes, _interval_of(name, intervals), unit_of(name))
-        for name, (was, becomes) in pairs.items()
-        if was != becomes
+        Change(name, old[name], value, _interval_of(name, intervals), unit_of(name))
+        for name, value in new.items()
+        if old[name] != value
     ]
-
-
-def _with_each_tolerance(values: Mapping[str, Any]) -> Values:
-    """Values with a name for each tolerance, as in a parameter file, in place of one text of all."""
-    found = {name: value for name, value in values.items() if name != TOLERANCES}
-    return {**found, **dict(_flat(read_tolerances(values.get(TOLERANCES, ""), ""), TOLERANCES))}
-
-
-def _flat(found: Any, prefix: str) -> Iterator[tuple[str, Any]]:
-    if not isinstance(found, Mapping):
-        yield prefix, found
-        return
-    for name, value in found.items():
-        yield from _flat(value, f"{prefix}.{name}")
 
 
 def _interval_of(name: str, intervals: Mapping[str, Interval]) -> tuple[float, float] | None:

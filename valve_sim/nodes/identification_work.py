@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 
 from valve_sim.files.parameter_files import save_valve
 from valve_sim.files.recording_map import load_map
+from valve_sim.identification.diagnosis.handing_on import handed_on
 from valve_sim.identification.diagnosis.identify import Identification, identify
 from valve_sim.identification.estimation.declared_values import out_of_tolerance
 from valve_sim.identification.estimation.findings import leaves_more_than_noise
@@ -252,6 +254,8 @@ class Outcome(NamedTuple):
         valve: the identified or corrected one. clock_offset: s by which the samples are stamped late.
         report: content of identify.json or report.json. file: where the valve was written.
         summary: one sentence for a person. intervals: by name of each fitted parameter.
+        to_set: the declared valve with what the recording determines, for `apply_to`.
+        held: names of what was refitted or within a tolerance, and stays as declared in it.
         objection: why the valve should not be handed on; empty where nothing speaks against it.
         advice: the profile to record next; None where nothing is to be told apart.
     """
@@ -262,6 +266,8 @@ class Outcome(NamedTuple):
     file: Path
     summary: str
     intervals: Mapping[str, Interval]
+    to_set: Valve
+    held: tuple[str, ...]
     objection: str
     advice: Path | None = None
 
@@ -327,8 +333,9 @@ def _identified(result: Identification, settings: IdentificationSettings, folder
     file = folder / IDENTIFIED_FILE
     save_valve(file, result.valve, _provenance(settings, summary))
     offset = result.fit.values["clock_offset[0]"]
-    report, objection = identification_json(result), _objection_to(result)
-    return Outcome(result.valve, offset, report, file, summary, result.intervals, objection)
+    report, handed = identification_json(result), handed_on(result.fit, result.intervals)
+    objection = handed.objection or _objection_to(result)
+    return Outcome(result.valve, offset, report, file, summary, result.intervals, handed.valve, handed.held, objection)
 
 
 def _objection_to(result: Identification) -> str:
@@ -363,11 +370,17 @@ def _diagnosed(
         summary += f" Beside it {left}."
     provenance = _provenance(settings, summary)
     save_valve(file, result.valve, provenance)
-    advice = write_record_next(folder, result, provenance)
+    given = {"--params": settings.params, "--map": settings.map, "--valve": settings.valve_name}
+    options = shlex.join([word for option, value in given.items() if value for word in (option, value)])
+    advice = write_record_next(folder, result, provenance, options)
     offset = result.after.fit.values.get("clock_offset[0]", 0.0)
     kind = result.verdict.kind
     objection = objection_to(result) if kind in _NAMED else f"the verdict is {kind!r}"
-    return Outcome(result.valve, offset, report, file, summary, result.after.intervals, objection, advice)
+    handed = handed_on(result.after.fit, result.after.intervals)
+    return Outcome(
+        result.valve, offset, report, file, summary, result.after.intervals, handed.valve, handed.held,
+        objection or handed.objection, advice,
+    )  # fmt: skip
 
 
 def _provenance(settings: IdentificationSettings, summary: str) -> str:

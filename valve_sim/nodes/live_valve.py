@@ -8,7 +8,6 @@ from typing import Final, NamedTuple
 
 from valve_sim.model import CoilReading, Event, EventKind, Phase, Reading, SimulationError, Stepper, Valve
 from valve_sim.model.gas import GAS
-from valve_sim.model.stepper import reading_at_rest
 from valve_sim.nodes.realtime import NANOSECONDS, TimedQueue
 
 _PHASE_AFTER: Final = {
@@ -146,7 +145,7 @@ class LiveValve:
         """A voltage that is in force from clock time `clock`, ns; False, and nothing else, if it is not acceptable."""
         if not (math.isfinite(volts) and abs(volts) <= self._max_voltage):
             return False
-        self._requests.post(clock, "command", self._energise, volts, voids=("limit",))
+        self._requests.post(clock, "command", partial(self._energise, volts))
         return True
 
     def pressure(self, name: str) -> float:
@@ -165,27 +164,27 @@ class LiveValve:
         """
         if not GAS[name].lower <= pressure <= GAS[name].upper:
             return False
-        self._requests.post(clock, name, partial(self._apply_pressure, name), pressure)
+        self._requests.post(clock, name, partial(self._apply_pressure, name, pressure))
         return True
 
     def limit(self, clock: int, max_voltage: float) -> None:
         """Limit commands from now on, V; a voltage in force beyond the limit ends at clock time `clock`, ns."""
         self._max_voltage = max_voltage
-        self._requests.post(clock, "limit", self._withdraw_beyond, max_voltage, merge=min)
+        self._requests.post(clock, f"limit {max_voltage!r}", partial(self._withdraw_beyond, max_voltage))
 
     def set_valve(self, clock: int, valve: Valve) -> None:
         """Continue with another valve, without a jump in state."""
         self._valve = valve
-        self._requests.post(clock, "valve", self._continue_as, valve)
+        self._requests.post(clock, "valve", partial(self._continue_as, valve))
 
     def set_scale(self, clock: int, scale: float) -> None:
         """Continue at another time scale."""
         self._scale = scale
-        self._requests.post(clock, "scale", self._set_scale, scale)
+        self._requests.post(clock, "scale", partial(self._set_scale, scale))
 
     def reset(self, clock: int) -> None:
         """Put the valve to rest: closed, without current, as before the first command."""
-        self._requests.post(clock, "reset", self._reset, voids=("command", "limit"))
+        self._requests.post(clock, "reset", self._rest)
 
     def restart(self, clock: int, stamp: int) -> None:
         """Restart at clock time `clock`, ns, with stamps from `stamp` on: the valve rests closed.
@@ -237,39 +236,18 @@ class LiveValve:
         return Step(self._stamp, reading, phases, failure, switches, tuple(self._obeyed), self._switched_off)
 
     @property
-    def can_rest(self) -> bool:
-        """Whether the valve is known to rest, without a simulation, until something is asked of it."""
-        return reading_at_rest(self._valve, 0.0) is not None
-
-    def rests_until(self, clock: int) -> bool:
-        """Whether that holds for the valve that is stepped, and nothing waits for it up to clock time `clock`, ns."""
-        return reading_at_rest(self._running.valve, 0.0) is not None and not self._requests.is_due(clock)
-
-    def step_at_rest(self, clock: int) -> Step:
-        """What `step` returns of a valve of which nothing was asked since its start, without compiled code.
-
-        A request acts from the latest such step on at the earliest: the next `step` makes up for the time since.
-        """
-        time, self._stamp = self._timeline.at(clock)
-        reading = reading_at_rest(self._running.valve, time)
-        if reading is None:
-            raise RuntimeError("of this valve only the model can tell whether it rests")
-        self._reached = clock
-        return Step(self._stamp, reading, self._phases_to_announce(reading), "")
-
-    @property
     def _running(self) -> Stepper:
         if self._stepper is None:
             raise RuntimeError("restart comes before the first step")
         return self._stepper
 
-    def _energise(self, clock: int, volts: float) -> None:
+    def _energise(self, volts: float, clock: int) -> None:
         self._watch_command(clock)
         self._switch(clock, volts)
         self.last_command = clock
         self.timed_out, self.withdrawn = False, 0.0
 
-    def _apply_pressure(self, name: str, clock: int, pressure: float) -> None:
+    def _apply_pressure(self, name: str, pressure: float, clock: int) -> None:
         if self._running.valve.gas is None:
             return
         self._watch_command(clock)
@@ -283,7 +261,7 @@ class LiveValve:
         put = stepper.supply if name == "inlet_pressure" else stepper.set_demand_pressure
         put(self._timeline.model_time(clock), pressure)
 
-    def _continue_as(self, clock: int, valve: Valve) -> None:
+    def _continue_as(self, valve: Valve, clock: int) -> None:
         before = self._running.valve.gas
         if before is None or valve.gas is None:
             self._heard = {}
@@ -307,7 +285,7 @@ class LiveValve:
             self._switch(max(self._reached, deadline), 0.0)
             self.timed_out = True
 
-    def _withdraw_beyond(self, clock: int, max_voltage: float) -> None:
+    def _withdraw_beyond(self, max_voltage: float, clock: int) -> None:
         volts = self._running.volts
         if abs(volts) > max_voltage:
             self._switched_off = f"max_voltage was set to {max_voltage:g} V, below the {abs(volts):g} V that held"
@@ -327,11 +305,8 @@ class LiveValve:
             self._switches.append((stamp - 1, before))
         self._switches.append((stamp, after))
 
-    def _set_scale(self, clock: int, scale: float) -> None:
+    def _set_scale(self, scale: float, clock: int) -> None:
         self._timeline.set_scale(clock, scale)
-
-    def _reset(self, clock: int, _: None) -> None:
-        self._rest(clock)
 
     def _rest(self, clock: int) -> None:
         self._running.reset(self._timeline.model_time(clock))

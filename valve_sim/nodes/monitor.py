@@ -27,7 +27,6 @@ from valve_sim.identification.reporting.monitoring_words import told_finding
 from valve_sim.model import ParameterError
 from valve_sim.nodes import topics
 from valve_sim.nodes.diagnostics import Level, Status
-from valve_sim.nodes.live_map import live_inputs
 from valve_sim.nodes.messages import ReadingMessages
 from valve_sim.nodes.monitor_inputs import MonitorInputs, Takers
 from valve_sim.nodes.monitor_work import (
@@ -69,8 +68,7 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
     start.
 
     Raises:
-        ValveError: a parameter is unknown, of the wrong type or out of range, or the state file
-            cannot be used.
+        ValveError: a parameter is unknown, of the wrong type or out of range, or the state file cannot be used.
     """
 
     def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
@@ -79,13 +77,12 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
         settings, valve = self._settings.monitor, self._declared
         self._valve = full_name(self._node, self._settings.valve_node, "valve_node")
         measured = full_name(self._node, f"{self._valve}/{self._settings.measured}", "measured")
-        entries = live_inputs(self._settings.map, self._valve) if self._settings.map else {}
         self._state = Path(self._settings.state).expanduser() if self._settings.state else None
         self._kept = None if self._state is None else load_commissioning(self._state, valve)
         self._input = InputCount()
         take = Takers(self._command, self._sample, self._coil, self._pressure, self._end_pressure, self._input.reject)
         has_gas = valve.gas is not None
-        self._inputs = MonitorInputs(self._node, self._clock, self._valve, measured, entries, take, has_gas=has_gas)
+        self._inputs = MonitorInputs(self._node, self._clock, self._valve, measured, take, has_gas=has_gas)
         self._epoch: int | None = None
         self._last_stamp: int | None = None
         self._next_message = 0
@@ -161,7 +158,7 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
     def _sample(self, stamp: int, position: float, received: int) -> None:
         largest = MOST_STROKES * self._declared.parameters.stroke
         if abs(position) > largest:
-            words = f"{self._inputs.measured}: {position:g} m, expected metres, at most {largest:g} m; the map's unit:"
+            words = f"{self._inputs.measured}: {position:g} m, expected metres, at most {largest:g} m"
             self._input.reject(words)
             return
         self._watch_for_jumps(stamp)

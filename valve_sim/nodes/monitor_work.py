@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final, NamedTuple
 
 from valve_sim.identification.estimation.parallel import threads_limited_to
+from valve_sim.identification.monitoring.agreement import Agreement
 from valve_sim.identification.monitoring.fault_isolation import FaultFinding, isolate_fault
 from valve_sim.identification.monitoring.findings import Fault, Occasion, StrokeRecord, StrokeState
 from valve_sim.identification.monitoring.scores import Baseline
@@ -23,6 +24,7 @@ from valve_sim.identification.reporting.monitoring_words import (
     fault_words,
     occasion_words,
     remark_words,
+    shared_delay_words,
     state_words,
     told_finding,
 )
@@ -149,6 +151,7 @@ class FaultIsolation:
         self._lock = threading.Lock()
         self._is_wanted = threading.Event()
         self._is_stopping = False
+        self._agreement = Agreement()
 
     def begin(self, strokes: list[Trace], baseline: Baseline, occasion: Occasion) -> None:
         """Isolate the fault in these strokes, now or after the run in progress; `occasion` is that of the last."""
@@ -163,6 +166,7 @@ class FaultIsolation:
         with self._lock:
             self._is_wanted.clear()
             self._next, self.found, self.failure = None, None, ""
+            self._agreement.forget()
 
     def stop(self, timeout: float) -> bool:
         """Cancel at the next report of progress; whether it has ended within `timeout`, s."""
@@ -190,6 +194,9 @@ class FaultIsolation:
         with self._lock:
             if not self._is_wanted.is_set():
                 return
+            if found is not None and self._agreement.add(found.finding) is None:
+                self.failure = ""
+                return  # one window of strokes alone may be wrong
             before = self.found
             self.found, self.failure = found or before, failure
         if found is not None:
@@ -245,6 +252,8 @@ def health_status(
         scatter = f"commands are obeyed {1e3 * monitor.command_scatter:.1f} ms sooner or later than they come in"
         words = f"{TIMING_UNCERTAIN}: {scatter}; the shape of strokes is as commissioned"
         return Status("valve", Level.OK, words, values)
+    if monitor.shared_delay:
+        return Status("valve", Level.OK, f"{shared_delay_words(monitor.shared_delay)}; else as commissioned", values)
     return Status("valve", Level.OK, "as commissioned", values)
 
 

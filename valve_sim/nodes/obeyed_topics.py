@@ -75,7 +75,7 @@ class GasTopics:
     """The topics of a valve with gas.
 
     Args:
-        node: publishes. inbox: receives. clock: of the node. live: obeys. messages: encodes.
+        node: publishes. inbox: receives. clock: of the node. live: obeys. messages: makes them.
     """
 
     def __init__(self, node: Node, inbox: Inbox, clock: NodeClock, live: LiveValve, messages: ReadingMessages) -> None:
@@ -117,7 +117,7 @@ class GasTopics:
         if hears_outlet_pressure:
             self._outlet_pressure.publish(self._messages.pressure(step.stamp, step.reading.outlet_pressure))
         if hears_mass_flow:
-            self._mass_flow.publish(self._messages.mass_flow(step.reading))
+            self._mass_flow.publish(self._messages.number(step.reading.mass_flow))
 
     def statuses(self) -> Iterator[Status]:
         """For /diagnostics; none while the valve has no gas."""

@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import math
 import threading
-from bisect import bisect_left, bisect_right
-from collections import Counter
-from collections.abc import Callable, Container, Iterator, Sequence
-from operator import attrgetter
-from typing import Any, Final, NamedTuple, Protocol
+from collections.abc import Callable, Iterator, Sequence
+from operator import itemgetter
+from typing import Final, NamedTuple, Protocol
 
 from valve_sim.nodes.threads import Fail, StoppableThread
 
@@ -25,8 +23,6 @@ BACKLOG_SECONDS: Final = 0.5
 """s: samples that are overdue for longer are dropped; the model is stepped over them nevertheless."""
 _BETWEEN_LOOKS: Final = 20_000_000
 """ns between two looks at who subscribes: no longer than a new subscriber may take to be discovered."""
-_BETWEEN_QUESTIONS: Final = 5_000_000
-"""ns between two questions whether steps can be made again."""
 LONGEST_LEAP_SECONDS: Final = 60.0
 """s: a clock that moves further between two readings has been set."""
 _LONGEST_LEAP: Final = round(LONGEST_LEAP_SECONDS * NANOSECONDS)
@@ -184,8 +180,6 @@ class Worker(StoppableThread):
         prepare: called first, in the thread.
         restart: called before the first step, and whenever the clock jumped or was exchanged.
         step: called with each deadline, ns of the clock. fail: told what went wrong.
-        may_step: whether steps up to a time of the clock, ns, can be made; those that cannot wait, and are dropped if
-            they are overdue for longer than BACKLOG_SECONDS. Asked until `may_always_step`; default: always.
     """
 
     def __init__(
@@ -197,7 +191,6 @@ class Worker(StoppableThread):
         restart: Callable[[Restart], None],
         step: Callable[[int], None],
         fail: Fail,
-        may_step: Callable[[int], bool] | None = None,
     ) -> None:
         super().__init__("valve stepper", self._follow, fail)
         self.timing = TimingRecord()
@@ -206,16 +199,11 @@ class Worker(StoppableThread):
         self._prepare = prepare
         self._restart = restart
         self._step = step
-        self._may_step = may_step
 
     def set_rate(self, rate: float) -> None:
         """Set the rate of the steps, Hz."""
         self._rate = rate
         self.wake()
-
-    def may_always_step(self) -> None:
-        """From now on steps can always be made."""
-        self._may_step = None
 
     def wake(self) -> None:
         """Interrupt the wait for the next step."""
@@ -225,11 +213,9 @@ class Worker(StoppableThread):
         self._prepare()
         pace = _Pace(self._clock, self._restart)
         while not self.is_stopping:
-            schedule, may_step = pace.look(self._rate), self._may_step
+            schedule = pace.look(self._rate)
             if schedule is None:
                 self._clock.sleep_until(0)
-            elif may_step is not None and not may_step(pace.now):
-                self._clock.sleep_until(pace.now + _BETWEEN_QUESTIONS)
             else:
                 self._catch_up(schedule, pace.now, is_simulated=pace.is_simulated)
                 self._clock.sleep_until(schedule.next)
@@ -380,89 +366,37 @@ class SubscriberCounts:
         return self._is_heard
 
 
-class _Request(NamedTuple):
-    """An action for a clock time, ns, with the value that it is called with."""
-
-    time: int
-    kind: str
-    action: Callable[[int, Any], None]
-    value: Any
-
-
-_TIME: Final = attrgetter("time")
-
-
 class TimedQueue:
     """Requests between threads: any thread posts actions, the stepping thread calls those whose time has come.
 
-    It cannot grow without bound, whether the clock stands still or the stepping thread does. Of one time it holds at
-    most one request of each kind, because a value that would hold for no time need not be kept. Beyond `MOST` requests
-    the oldest that a later one of its kind replaces is dropped: what holds in the end is as without the bound.
+    Of one time it holds one request of each kind, the last. So it does not grow while the clock stands still.
     """
 
-    MOST: Final = 10_000
-
     def __init__(self) -> None:
-        self._requests: list[_Request] = []
+        self._requests: dict[tuple[int, str], Callable[[int], None]] = {}
         self._lock = threading.Lock()
 
     def __len__(self) -> int:
         """How many requests wait."""
         return len(self._requests)
 
-    def post(
-        self,
-        time: int,
-        kind: str,
-        action: Callable[[int, Any], None],
-        value: Any = None,
-        *,
-        voids: Container[str] = (),
-        merge: Callable[[Any, Any], Any] | None = None,
-    ) -> None:
-        """Store an action for clock time `time`, ns; it will be called with that time and the value.
-
-        Args:
-            time: ns; behind requests of the same time, and before those of later times.
-            kind: a request of this kind that waits for the same time is dropped.
-            action, value: what is called, and with what beside the time.
-            voids: other kinds of which requests that wait for the same time are dropped.
-            merge: makes one value of that of a dropped request of this kind and of the new one; default: the new one.
-        """
+    def post(self, time: int, kind: str, action: Callable[[int], None]) -> None:
+        """Store an action for clock time `time`, ns, with which it will be called; behind those of the same time."""
         with self._lock:
-            first = bisect_left(self._requests, time, key=_TIME)
-            last = bisect_right(self._requests, time, lo=first, key=_TIME)
-            same, kept = self._requests[first:last], list[_Request]()
-            for request in same:
-                if request.kind == kind:
-                    value = value if merge is None else merge(request.value, value)
-                elif request.kind not in voids:
-                    kept.append(request)
-            self._requests[first:last] = [*kept, _Request(time, kind, action, value)]
-            if len(self._requests) > self.MOST:
-                self._drop_one_that_is_replaced()
+            self._requests.pop((time, kind), None)
+            self._requests[time, kind] = action
 
     def deliver(self, since: int, until: int) -> None:
         """Call every action whose time is not after `until`, ns, in the order of time, none as of before `since`."""
-        while self._requests and (request := self._take(until)) is not None:
-            request.action(max(request.time, since), request.value)
-
-    def is_due(self, until: int) -> bool:
-        """Whether an action's time is not after `until`, ns."""
+        if not self._requests:
+            return
         with self._lock:
-            return bool(self._requests) and self._requests[0].time <= until
+            due = sorted((key for key in self._requests if key[0] <= until), key=itemgetter(0))
+            actions = [(time, self._requests.pop((time, kind))) for time, kind in due]
+        for time, action in actions:
+            action(max(time, since))
 
     def clear(self) -> None:
         """Drop all actions."""
         with self._lock:
             self._requests.clear()
-
-    def _drop_one_that_is_replaced(self) -> None:
-        """Drop the oldest request that has a later one of its kind; there is one, as there are few kinds."""
-        left = Counter(request.kind for request in self._requests)
-        index = next(index for index, request in enumerate(self._requests) if left[request.kind] > 1)
-        del self._requests[index]
-
-    def _take(self, until: int) -> _Request | None:
-        with self._lock:
-            return self._requests.pop(0) if self._requests and self._requests[0].time <= until else None

@@ -80,14 +80,8 @@ class Inbox:
         """Whether the inbox takes the messages itself, in place of the executor."""
         return self._can_take and not self._clock.is_simulated
 
-    def subscribe(self, message_type: type, topic: str, take: Take, qos: QoSProfile, *, raw: bool = False) -> Source:
-        """Receive a topic from now on.
-
-        Args:
-            message_type: of the topic. topic: its name, which may be relative to the node.
-            take: called for each message by `deliver`. qos: of the subscription.
-            raw: whether `take` is given the encoded message, as bytes.
-        """
+    def subscribe(self, message_type: type, topic: str, take: Take, qos: QoSProfile) -> Source:
+        """Receive a topic, whose name may be relative to the node; `deliver` calls `take` for each message."""
         source = Source(self._node.resolve_topic_name(topic), message_type, take)
 
         def store(message: Any, info: Any) -> None:
@@ -98,15 +92,16 @@ class Inbox:
         callback: Any = guarded(store)  # its second argument, message info, is missing in rclpy's types
         # Without events: an executor that waits for those alone is woken, again and again, by messages too.
         source.subscription = self._node.create_subscription(
-            message_type, topic, callback, qos, callback_group=self._group, event_callbacks=_no_events(), raw=raw
+            message_type, topic, callback, qos, callback_group=self._group, event_callbacks=_no_events()
         )
         self._sources += (source,)
         return source
 
     def unsubscribe(self, source: Source) -> None:
-        """Receive a topic no longer; to be called by the thread that empties the inbox."""
-        self._sources = tuple(other for other in self._sources if other is not source)
-        self._node.destroy_subscription(source.subscription)
+        """Receive a topic no longer, if it still was; to be called by the thread that empties the inbox."""
+        if source in self._sources:
+            self._sources = tuple(other for other in self._sources if other is not source)
+            self._node.destroy_subscription(source.subscription)
 
     def deliver(self) -> bool:
         """Have each message that has come taken; whether there were any.
@@ -153,7 +148,7 @@ class Inbox:
         found: list[tuple[Any, Arrival]] = []
         try:
             while len(found) < MOST_STORED:
-                waiting = handle.take_message(subscription.msg_type, subscription.raw)
+                waiting = handle.take_message(subscription.msg_type, False)
                 if waiting is None:
                     break
                 found.append((waiting[0], self._arrival(waiting[1])))

@@ -88,9 +88,6 @@ class MonitorNodeSettings(NodeSettings):
         "topic of the measured positions below it, or of the coil (measured/coil): the current alone; joint_states and "
         "coil: a simulated valve's",
     )
-    map: str = option(
-        "", "file that says which topics, fields and units those of the valve are; empty: those of this package"
-    )
     frame_id: str = option("", "header.frame_id of the predicted joint states")
     state: str = option("", "file that keeps what commissioning found, for the next start; empty: none")
     commissioning_strokes: int = option(

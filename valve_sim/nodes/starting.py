@@ -3,28 +3,19 @@
 from __future__ import annotations
 
 import contextlib
-import faulthandler
 import importlib
 import inspect
 import itertools
 import os
-import re
 import signal
 import sys
-import tempfile
-import textwrap
-import threading
 import traceback
-from collections.abc import Callable, MutableMapping, Sequence
-from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
+from collections.abc import Callable, Sequence
 from types import FrameType
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, NoReturn
 
 from valve_sim.files.parameter_files import valve_from_flat
 from valve_sim.files.parameter_sections import Section, read_sections
-from valve_sim.files.resources import config_path
-from valve_sim.invocation import invocation
 from valve_sim.model.errors import ParameterError, ValveError
 
 if TYPE_CHECKING:
@@ -34,13 +25,7 @@ UNUSABLE_INPUT: Final = 2
 """Exit code after one line on stderr."""
 STOP_SECONDS: Final = 0.3
 """s that each thread of a node may take to end; one that calculates for longer is ended with the process."""
-END_SECONDS: Final = 1.5
-"""s after a signal at which a node is ended, whatever it does."""
-LAST_SECONDS: Final = 10.0
-"""s after a signal at which a node is ended that hangs in a library's compiled code, where no thread of Python runs."""
 _PARAMETER_FLAG: Final = "--params-file"
-_CODE: Final = "    "
-"""Indentation of the commands in a usage."""
 
 
 GivenFiles = list[tuple[str, Section]]
@@ -75,9 +60,8 @@ class Program(NamedTuple):
     Attributes:
         name: of the program.
         place: "module:Class" of its node, which is imported only after ROS was found; without it one line is printed.
-        about: what it does, with a command that works as printed; lines that begin with four spaces and the program's
-            name are commands.
-        pages: where to read on. codes: its exit codes.
+        about: what it does, with a command that works as printed.
+        pages: where to read on. codes: its exit codes. unstarted: the one where a signal comes while it starts.
         needs: a library that not everyone has; None where ROS is enough.
     """
 
@@ -86,6 +70,7 @@ class Program(NamedTuple):
     about: str
     pages: str
     codes: str = "0 after Ctrl-C or SIGTERM, 1 after a failure, 2 for unusable input"
+    unstarted: int = 0
     needs: Extra | None = None
 
     def __call__(self, args: Sequence[str] | None = None) -> int:
@@ -99,23 +84,24 @@ class Program(NamedTuple):
         """
         arguments = list(sys.argv if args is None else args)
         if _asks_for_help(arguments):
-            print(_as_typed(self.name, self.usage))
+            print(inspect.cleandoc(self.usage))
             return 0
-        signals = _Signals()
+        signals, node = _Signals(), None
         try:
             given = read_files(arguments)
-            _ensure_log_folder(self.name)
-            offer_profile(os.environ, Path.cwd(), installed_rclpy())
             rclpy_init(arguments)
-            node = None if signals.have_come else _made(self.place, given, self.needs)
+            node = _made(self.place, given, self.needs)
+            signals.is_starting = False
         except ValveError as error:
             print(f"{self.name}: {error}", file=sys.stderr)
             return UNUSABLE_INPUT
-        if node is None:
-            rclpy().try_shutdown()
-            return 0
-        signals.node = node
-        return _spin(self.name, node)
+        except (Exception, KeyboardInterrupt):
+            if signals.is_starting:
+                raise
+        finally:
+            if node is None and (module := sys.modules.get("rclpy")) is not None:
+                module.try_shutdown()
+        return self.unstarted if node is None else _spin(self.name, node)
 
     @property
     def usage(self) -> str:
@@ -145,13 +131,6 @@ def _asks_for_help(arguments: Sequence[str]) -> bool:
     """Whether --help or -h stands among what is not ROS's own."""
     own = itertools.takewhile(lambda argument: argument != "--ros-args", arguments[1:])
     return not {"-h", "--help"}.isdisjoint(own)
-
-
-def _as_typed(name: str, usage: str) -> str:
-    """A usage for a terminal: prose is wrapped, and commands name the program as it is called here."""
-    paragraphs = inspect.cleandoc(usage).split("\n\n")
-    wrapped = [words if words.startswith(_CODE) else textwrap.fill(words, 80) for words in paragraphs]
-    return re.sub(rf"^{_CODE}{name}\b", f"{_CODE}{invocation(name)}", "\n\n".join(wrapped), flags=re.MULTILINE)
 
 
 def read_files(arguments: Sequence[str]) -> GivenFiles:
@@ -192,7 +171,8 @@ def rclpy_init(arguments: Sequence[str]) -> None:
         rclpy().init(args=list(arguments))
     except Exception as error:  # rclpy has several exceptions here, not all of them public
         first_line = str(error).splitlines()[0] if str(error) else ""
-        raise ParameterError(f"ROS 2 refused to start: {type(error).__name__} {first_line}") from error
+        mend = "; set ROS_LOG_DIR to a folder that can be written" if "log" in str(error).lower() else ""
+        raise ParameterError(f"ROS 2 refused to start: {type(error).__name__} {first_line}{mend}") from error
 
 
 def rclpy() -> Any:
@@ -209,21 +189,12 @@ def rclpy() -> Any:
         ) from error
 
 
-def _made(place: str, given: GivenFiles, needs: Extra | None) -> RosNode[Any] | None:
-    """The node; None if a signal ended ROS meanwhile."""
+def _made(place: str, given: GivenFiles, needs: Extra | None) -> RosNode[Any]:
     module, _, kind = place.partition(":")
-    try:
-        if needs is not None:
-            needs.require()
-        made: RosNode[Any] = getattr(importlib.import_module(module), kind)(given)
-        return made
-    except ValveError:
-        rclpy().try_shutdown()
-        raise
-    except Exception:
-        if rclpy().ok():
-            raise
-        return None
+    if needs is not None:
+        needs.require()
+    made: RosNode[Any] = getattr(importlib.import_module(module), kind)(given)
+    return made
 
 
 def _spin(name: str, node: RosNode[Any]) -> int:
@@ -259,105 +230,22 @@ def _end_at_once(code: int) -> NoReturn:
 
 
 class _Signals:
-    """SIGINT and SIGTERM as noted here, while ROS, whose handlers call these, shuts itself down.
+    """SIGINT and SIGTERM: while a node starts, they end that; later only ROS is told, whose handlers call these.
 
     Python's own answer to Ctrl-C is an exception at whatever place is reached, also within a callback or a message that
-    ROS is just making: it came up as another error, or not at all. A process that has not ended by `END_SECONDS`,
-    because it reads a long recording or answers a question that takes long, is ended there. One that hangs in compiled
-    code, as rclpy once did while it destroyed a node, is ended by `LAST_SECONDS` with code 1; stderr has where it hung.
+    ROS is just making: it came up as another error, or not at all.
     """
 
     def __init__(self) -> None:
-        self.have_come = False
-        self.node: RosNode[Any] | None = None
-        _on_signals(self._note)
+        self.is_starting = True
+        _on_signals(self._take)
 
-    def _note(self, number: int, frame: FrameType | None) -> None:
-        if self.have_come:
-            return
-        self.have_come = True
-        latest = threading.Timer(END_SECONDS, self._end)
-        latest.daemon = True
-        latest.start()
-        with contextlib.suppress(OSError, ValueError, AttributeError):  # without stderr there is no such guard
-            faulthandler.dump_traceback_later(LAST_SECONDS, exit=True)
-
-    def _end(self) -> None:
-        _end_at_once(0 if self.node is None else self.node.exit_code)
+    def _take(self, number: int, frame: FrameType | None) -> None:
+        if self.is_starting:
+            self.is_starting = False
+            raise KeyboardInterrupt
 
 
 def _on_signals(action: signal.Handlers | Callable[[int, FrameType | None], None]) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, action)
-
-
-def _ensure_log_folder(name: str) -> None:
-    """Log elsewhere, and say so, where ROS cannot write its log: it would not start."""
-    rclpy()
-    folder = Path(importlib.import_module("rclpy.logging").get_logging_directory())
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            return
-    except OSError as error:
-        elsewhere = tempfile.mkdtemp(prefix="valve_sim-log-")
-        os.environ["ROS_LOG_DIR"] = elsewhere
-        print(
-            f"{name}: {folder}: cannot be written ({error.strerror}); logs go to {elsewhere}, or set ROS_LOG_DIR",
-            file=sys.stderr,
-        )
-
-
-class Profile(NamedTuple):
-    """A file of ours and the environment variable by which Fast DDS finds it."""
-
-    variable: str
-    file: str
-
-
-FAST_DDS_2: Final = Profile("FASTRTPS_DEFAULT_PROFILES_FILE", "fast_dds_2.xml")
-FAST_DDS_3: Final = Profile("FASTDDS_DEFAULT_PROFILES_FILE", "fast_dds_3.xml")
-OWN_FILES: Final = ("DEFAULT_FASTRTPS_PROFILES.xml", "DEFAULT_FASTDDS_PROFILES.xml")
-"""File that Fast DDS reads from the folder in which a process starts."""
-RCLPY_WITH_FAST_DDS_3: Final = 9
-"""The major version of rclpy in Kilted, the first ROS 2 with Fast DDS 3; Jazzy has 7 and Fast DDS 2.14."""
-
-
-def profile_of(rclpy: str) -> Profile:
-    """Which of our profiles the Fast DDS of a ROS 2 understands.
-
-    Fast DDS 3 reads the variable of version 2, too, and complains of what it finds there: a process is given one only.
-
-    Args:
-        rclpy: version of that ROS 2's rclpy, such as 7.1.5.
-    """
-    return FAST_DDS_3 if int(rclpy.partition(".")[0]) >= RCLPY_WITH_FAST_DDS_3 else FAST_DDS_2
-
-
-def installed_rclpy() -> str | None:
-    """Version of the rclpy on the path, or None if it does not say."""
-    try:
-        return version("rclpy")
-    except PackageNotFoundError:
-        return None
-
-
-def offer_profile(environment: MutableMapping[str, str], folder: Path, rclpy: str | None) -> None:
-    """Have Fast DDS note acknowledgements every 4 ms, and announce itself for 3 s; to be called before ROS starts.
-
-    After each message Fast DDS wakes a thread of its own, only to note that a reader may now ask for that message
-    again: 2 to 5 % of a core at 1 kHz. A reader does not ask sooner than 5 ms after the writer's heartbeat, so our
-    profiles have it noted every 4 ms. And it announces itself five times to a process that begins, which may hear none
-    of them while it starts, and then every 3 s: our profiles have it announce itself every 0.1 s until then, so that a
-    process that begins is found within half a second, not after 3 s. Other middleware does not read these variables.
-
-    Args:
-        environment: of this process; changed, unless it names profiles of the user's own.
-        folder: in which the process starts; a file of profiles there counts too.
-        rclpy: see `installed_rclpy`; nothing is offered where it is not known.
-    """
-    named = any(profile.variable in environment for profile in (FAST_DDS_2, FAST_DDS_3))
-    if rclpy is None or named or any((folder / name).exists() for name in OWN_FILES):
-        return
-    profile = profile_of(rclpy)
-    environment[profile.variable] = str(config_path(profile.file))

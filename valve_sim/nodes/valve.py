@@ -1,8 +1,8 @@
 """The node `valve`: parameters, topics and services wired to a `LiveValve`. No physics, no decisions.
 
 Threads: callbacks run in the main thread, and only store (parameters, resets, and what an `Inbox` receives). One
-`Worker` thread empties the inbox, steps the valve and publishes; it consumes what was stored, each at its own time.
-Until the loading thread has the model ready, it publishes that the valve rests, and from a request on it waits.
+`Worker` thread loads the model, then empties the inbox, steps the valve and publishes; it consumes what was stored,
+each at its own time.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import contextlib
 import math
 from collections.abc import Iterator, Sequence
 from functools import partial
+from typing import Final
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
@@ -18,7 +19,7 @@ from rclpy.parameter import Parameter
 from valve_sim.files.parameter_sections import Section
 from valve_sim.model import ParameterError, Phase, Valve
 from valve_sim.nodes import topics
-from valve_sim.nodes.diagnostics import Level, Reminder, Status, command_status, timing_status, valve_status
+from valve_sim.nodes.diagnostics import Level, Status, command_status, timing_status, valve_status
 from valve_sim.nodes.live_valve import LiveValve, Step, self_test
 from valve_sim.nodes.messages import IS_OPEN, PHASE, ReadingMessages
 from valve_sim.nodes.obeyed_topics import BETWEEN_WARNINGS, GasTopics, ObeyedTopic
@@ -26,21 +27,18 @@ from valve_sim.nodes.parameters import Value, as_declared, changed_words, check_
 from valve_sim.nodes.realtime import NANOSECONDS, Restart, SubscriberCounts, Worker
 from valve_sim.nodes.receiving import Inbox
 from valve_sim.nodes.spinning import guarded
-from valve_sim.nodes.threads import StoppableThread, load_stepper
-from valve_sim.nodes.valve_parameters import (
-    TOLERANCES,
-    VALVE_KEYS,
-    ValveSettings,
-    valve_of,
-    with_tolerances,
-)
-from valve_sim.nodes.wiring import DuplicateNodes, RosNode
+from valve_sim.nodes.threads import load_stepper
+from valve_sim.nodes.valve_parameters import VALVE_KEYS, ValveSettings, valve_of, without_orphans
+from valve_sim.nodes.wiring import RosNode
+
+BETWEEN_REMINDERS: Final = 60.0
+"""s between lines of the log about a machine that is too busy."""
 
 
 class ValveNode(RosNode[ValveSettings]):
     """The node `valve`, with the topics and services `topics.VALVE`, and `topics.GAS` from when gas is declared.
 
-    Parameters: `valve_parameters.ValveSettings`, which can all be set at run time.
+    Parameters: `valve_parameters.ValveSettings`; all can be set at run time.
 
     Raises:
         ParameterError: a parameter is unknown, of the wrong type or out of range.
@@ -58,7 +56,6 @@ class ValveNode(RosNode[ValveSettings]):
         )
         self._inbox = Inbox(self._node, self._clock)
         self._gas: GasTopics | None = None
-        self._duplicates = DuplicateNodes(self._node)
         self._failure = ""
         self._is_ready = False
         self._was_waiting = True
@@ -68,18 +65,15 @@ class ValveNode(RosNode[ValveSettings]):
         self._worker = Worker(
             self._clock,
             self._settings.publish_rate,
-            prepare=self._wait_unless_at_rest,
+            prepare=self._load,
             restart=self._restart,
             step=self._step,
             fail=self._fail,
-            may_step=self._may_step,
         )
-        self._loader = StoppableThread("model loader", self._load, self._fail)  # which cannot end while it compiles
-        self._threads += (self._worker, self._loader)
+        self._threads.append(self._worker)
 
     def spin(self) -> None:
         """Run until ROS is shut down."""
-        self._loader.start()
         self._worker.start()
         super().spin()
 
@@ -105,20 +99,18 @@ class ValveNode(RosNode[ValveSettings]):
             self._gas = self._wire_gas()
         interface.serve("~/reset", self._reset)
         interface.serve("~/self_test", self._self_test)
-        self._too_busy = Reminder()
         self._publish_diagnostics(self._statuses)
 
     def _wire_gas(self) -> GasTopics:
         return GasTopics(self._node, self._inbox, self._clock, self._live, self._messages)
 
-    # --- the loading thread ---
+    # --- the stepping thread ---
 
     def _load(self) -> None:
         valve = self._live.valve
         load_stepper(valve)
         self._warn_if_it_cannot_open(valve)
         self._is_ready = True
-        self._worker.may_always_step()
         if self._node.context.ok():
             self._say_ready()
 
@@ -133,16 +125,6 @@ class ValveNode(RosNode[ValveSettings]):
             f"at {rate:g} Hz, "
             f"{self._phase.topic_name} and {self._is_open.topic_name} on change{gas}{waits}"
         )
-
-    # --- the stepping thread ---
-
-    def _wait_unless_at_rest(self) -> None:
-        if not self._live.can_rest:
-            self._loader.join()
-
-    def _may_step(self, until: int) -> bool:
-        self._inbox.deliver()
-        return self._live.rests_until(until)
 
     def _restart(self, restart: Restart) -> None:
         self._clock.was_set()
@@ -164,7 +146,7 @@ class ValveNode(RosNode[ValveSettings]):
         live, gas = self._live, self._gas
         self._follow_system_clock()
         self._inbox.deliver()
-        step = live.step(deadline) if self._is_ready else live.step_at_rest(deadline)
+        step = live.step(deadline)
         self._publish_sample(deadline, step)
         if gas is not None:
             gas.publish(deadline, step)
@@ -195,7 +177,7 @@ class ValveNode(RosNode[ValveSettings]):
                 self._coil.publish(self._messages.coil(stamp, coil.current, coil.voltage))
             self._coil.publish(self._messages.coil(step.stamp, shown.coil_current, shown.coil_voltage))
         if hears_coil_current:
-            self._coil_current.publish(self._messages.coil_current(shown))
+            self._coil_current.publish(self._messages.number(shown.coil_current))
 
     def _publish_phases(self, step: Step) -> None:
         for phase in step.phases:
@@ -234,26 +216,24 @@ class ValveNode(RosNode[ValveSettings]):
         self._was_waiting = bool(waiting_for)
         timing = timing_status(kept, self._settings.publish_rate, waiting_for)
         if self._is_ready and timing.level is Level.WARN:
-            line = self._too_busy.line(self._clock.elapsed(), timing.message)
-            if line:
-                self._node.get_logger().warning(line)
+            self._node.get_logger().warning(timing.message, throttle_duration_sec=BETWEEN_REMINDERS)
         yield timing
         heard = self._voltage
         yield command_status(live, now, heard.count, heard.source.incompatible_publishers)
-        yield valve_status(live, self._failure, self._duplicates.look())
+        yield valve_status(live, self._failure)
         if self._gas is not None:
             yield from self._gas.statuses()
 
     # --- parameters ---
 
     def _complete(self, parameters: list[Parameter]) -> list[Parameter]:
-        """Turn integers into doubles, and put names below `tolerances` into that parameter."""
+        """Turn integers into doubles, and drop the tolerances of effects that are switched off."""
         if any(parameter.type_ is Parameter.Type.NOT_SET for parameter in parameters):
             return parameters  # which `_validate` refuses
-        own = [p for p in parameters if p.name in self._table or p.name.startswith(f"{TOLERANCES}.")]
+        own = [parameter for parameter in parameters if parameter.name in self._table]
         given = {parameter.name: as_declared(parameter.name, parameter.value, self._table) for parameter in own}
         with contextlib.suppress(ParameterError):  # which `_validate` reports
-            given = with_tolerances(given, self._present_values())
+            given = without_orphans(given, self._present_values())
         others = [parameter for parameter in parameters if parameter not in own]
         return [*others, *(Parameter(name, value=value) for name, value in given.items())]
 
@@ -287,7 +267,7 @@ class ValveNode(RosNode[ValveSettings]):
         if settings.publish_rate != self._settings.publish_rate:
             self._worker.set_rate(settings.publish_rate)
         self._settings = settings
-        if any(name.startswith(VALVE_KEYS) for name in names - {TOLERANCES}):
+        if any(name.startswith(VALVE_KEYS) and not name.startswith("tolerances.") for name in names):
             valve = self._current_valve()
             self._live.set_valve(now, valve)
             if valve.gas is not None and self._gas is None:

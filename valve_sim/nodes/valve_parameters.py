@@ -1,31 +1,22 @@
 """The table of valve_node's parameters: its settings, and the valve. Needs no ROS.
 
-Entries `valve.*` and `gas.*` come from the model's declared parameters, `effects.*` from its catalogue. How well the
-values are known is one parameter, `tolerances`: the group of that name of a parameter file, as JSON. Names below it,
-such as `tolerances.stroke`, are taken from files and command lines, and at run time, and go into that one.
+Entries `valve.*` and `gas.*` come from the model's declared parameters, `effects.*` from its catalogue, and
+`tolerances.*`, of which 0 means exact, from both.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-from valve_sim.files.parameter_files import (
-    add_tolerance,
-    complete_effect,
-    default_valve,
-    off_value,
-    read_tolerances,
-    tolerances_text,
-    valve_from_flat,
-)
-from valve_sim.model import CATALOGUE, DECLARED, Parameter, Valve, ValveParameters
+from valve_sim.files.parameter_files import complete_effect, default_valve, off_value, valve_from_flat
+from valve_sim.model import CATALOGUE, DECLARED, Effect, Parameter, Valve, ValveParameters
 from valve_sim.model.gas import FLUIDS, GAS, GasParameters
+from valve_sim.model.tolerances import COVARIANCE_FORM, COVARIANCE_NAME, SENSOR, TOLERATED, Tolerances, tolerance_rule
 from valve_sim.nodes.parameters import NodeParameter, NodeSettings, Table, Value, check_given, option
 
-TOLERANCES: Final = "tolerances"
-VALVE_KEYS: Final = ("valve.", "effects.", "gas.", TOLERANCES)
+VALVE_KEYS: Final = ("valve.", "effects.", "gas.", "tolerances.")
 """What the names of parameters that describe a valve, not a node, begin with."""
 
 
@@ -71,9 +62,8 @@ def valve_table(default: Valve, *, read_only: bool = False) -> dict[str, NodePar
         *_declared_entries(default.parameters),
         *_gas_entries(default.gas),
         *_effect_entries(default.effects),
+        *_tolerance_entries(default.tolerances),
     ]
-    meaning = "standard deviations of declared values, as the group of a parameter file, in JSON; empty: all exact"
-    entries.append(NodeParameter(TOLERANCES, tolerances_text(default.tolerances.to_mapping()), meaning))
     return {entry.name: entry._replace(read_only=read_only) for entry in entries}
 
 
@@ -92,21 +82,15 @@ def check_with_valve(
         ParameterError: unknown name, wrong type, out of range, or a valve that cannot be.
     """
     others: dict[str, object] = {}
-    tolerances: dict[str, Any] = read_tolerances(given.get(TOLERANCES, ""), sources.get(TOLERANCES, "command line"))
     for name, value in given.items():
-        source = sources.get(name, "command line")
-        if name.startswith(f"{TOLERANCES}."):
-            add_tolerance(tolerances, name, value, source)
-        elif _is_retired(name):
+        if _is_retired(name):
             _, effect, parameter = name.split(".")
-            complete_effect(effect, {parameter: value}, source)
+            complete_effect(effect, {parameter: value}, sources.get(name, "command line"))
         else:
             others[name] = value
-    if tolerances:
-        others[TOLERANCES] = tolerances_text(tolerances)
     values = check_given(others, entries, sources, program, _defaults(entries, given))
     files = [sources[name] for name in given if name in sources and name.startswith(VALVE_KEYS)]
-    of_tolerances = [sources[name] for name in given if name in sources and name.startswith(TOLERANCES)]
+    of_tolerances = [sources[name] for name in given if name in sources and name.startswith("tolerances.")]
     valve_of(values, (of_tolerances or files or ["command line"])[-1])
     return values
 
@@ -127,7 +111,7 @@ def unit_of(name: str) -> str:
     Args:
         name: as a node has it, valve.spring_rate or effects.stiction.force, or without the first word.
     """
-    for root in (f"{TOLERANCES}.", "effects.", "valve."):
+    for root in ("tolerances.", "effects.", "valve."):
         name = name.removeprefix(root)
     group, _, own = name.rpartition(".")
     effect = CATALOGUE.get(group)
@@ -137,32 +121,21 @@ def unit_of(name: str) -> str:
     return "" if unit == "–" else unit
 
 
-def with_tolerances(changes: Mapping[str, Any], values: Mapping[str, Value]) -> dict[str, Any]:
-    """Changes in which names below `tolerances` have gone into that parameter.
-
-    The tolerances of an effect that they switch off go with it, but for those that they set themselves.
+def without_orphans(changes: Mapping[str, Any], values: Mapping[str, Value]) -> dict[str, Any]:
+    """Changes, and 0 for the tolerances of each effect that they switch off and do not give a tolerance themselves.
 
     Args:
         changes: what is about to be set. values: what is set, of the whole table.
 
     Raises:
-        ParameterError: what is said of tolerances, or of an effect, cannot be read.
+        ParameterError: an effect that is changed cannot be read.
     """
-    stated = {name: value for name, value in changes.items() if name.startswith(f"{TOLERANCES}.")}
-    others = {name: value for name, value in changes.items() if name not in stated}
-    known = read_tolerances(others.get(TOLERANCES, values[TOLERANCES]), TOLERANCES)
-    after = {**values, **others}
+    after, orphans = {**values, **changes}, dict[str, Any]()
     for effect in {name.split(".")[1] for name in changes if name.startswith("effects.")} & CATALOGUE.keys():
         found = {name: after[f"effects.{effect}.{name}"] for name in CATALOGUE[effect].given_names}
-        if effect in known.get("effects", {}) and complete_effect(effect, found, "") is None:
-            del known["effects"][effect]
-            stated = {f"{TOLERANCES}.": None, **stated}
-    if not stated:
-        return others
-    for name, value in stated.items():
-        if name != f"{TOLERANCES}.":
-            add_tolerance(known, name, value, "")
-    return {**others, TOLERANCES: tolerances_text(known)}
+        if complete_effect(effect, found, "") is None:
+            orphans |= {name: 0.0 for name in values if name.startswith(f"tolerances.effects.{effect}.")}
+    return {**orphans, **changes}
 
 
 def _defaults(entries: Table, given: Collection[str]) -> dict[str, Value]:
@@ -172,7 +145,9 @@ def _defaults(entries: Table, given: Collection[str]) -> dict[str, Value]:
     parameter file.
     """
     values = {name: entry.default for name, entry in entries.items()}
-    return {**values, TOLERANCES: ""} if any(name.startswith(VALVE_KEYS) for name in given) else values
+    if not any(name.startswith(VALVE_KEYS) for name in given):
+        return values
+    return values | {entry.name: entry.default for entry in _tolerance_entries(Tolerances())}
 
 
 def _is_retired(name: str) -> bool:
@@ -219,3 +194,25 @@ def _effect_entries(on: Mapping[str, Mapping[str, float]]) -> list[NodeParameter
             words = f"{whole.description} ({effect.summary}; off: all 0)"
             entries.append(NodeParameter(f"effects.{effect.name}.{whole.name}", items, words, whole.unit))
     return entries
+
+
+def _tolerance_entries(known: Tolerances) -> Iterator[NodeParameter]:
+    for name in TOLERATED:
+        yield _tolerance(name, DECLARED[name], known.declared)
+    covariance = [number for row in known.attraction_covariance or ((0.0,) * 4,) * 4 for number in row]
+    yield NodeParameter(f"tolerances.{COVARIANCE_NAME}", covariance, COVARIANCE_FORM)
+    for effect in _with_tolerances():
+        for rule in effect.parameters:
+            yield _tolerance(f"effects.{effect.name}.{rule.name}", rule, known.effects.get(effect.name, {}), rule.name)
+    for name, rule in GAS.items():
+        yield _tolerance(f"gas.{name}", rule, known.gas, name)
+    for name, rule in SENSOR.items():
+        yield _of(f"tolerances.sensor.{name}", getattr(known.sensor, name), rule)
+
+
+def _with_tolerances() -> Iterator[Effect]:
+    return (effect for effect in CATALOGUE.values() if effect.named)
+
+
+def _tolerance(name: str, rule: Parameter, known: Mapping[str, float], key: str = "") -> NodeParameter:
+    return _of(f"tolerances.{name}", known.get(key or name, 0.0), tolerance_rule(rule))

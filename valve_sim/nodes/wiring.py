@@ -120,20 +120,16 @@ class Interface:
         self._topics = {(topic.name, topic.direction): topic for topic in topics}
 
     def publisher(self, name: str, *, depth: int = 0, **places: str) -> Publisher:
-        """A publisher of a topic; it takes messages and encoded ones, as bytes.
-
-        Args:
-            name: as in the table. depth: messages that are kept, at least. places: as of the class.
-        """
+        """A publisher of a topic of the table that keeps at least `depth` messages; `places` as of the class."""
         topic = self._topics[name, "out"]
         wanted = profile(topic.qos)
         wanted.depth = max(wanted.depth, depth)
         return self._node.create_publisher(kind_of(topic.type), self._filled(name, places), wanted)
 
-    def receive(self, inbox: Inbox, name: str, take: Take, *, raw: bool = False, **places: str) -> Source:
+    def receive(self, inbox: Inbox, name: str, take: Take, **places: str) -> Source:
         """Have a topic received; see `Inbox.subscribe`."""
         topic = self._topics[name, "in"]
-        return inbox.subscribe(kind_of(topic.type), self._filled(name, places), take, profile(topic.qos), raw=raw)
+        return inbox.subscribe(kind_of(topic.type), self._filled(name, places), take, profile(topic.qos))
 
     def serve(self, name: str, answer: Callable[[], Any], group: CallbackGroup | None = None, **places: str) -> None:
         """Answer a service of type std_srvs/Trigger.
@@ -174,33 +170,6 @@ def profile(qos: Qos | None) -> QoSProfile:
         reliability=ReliabilityPolicy.RELIABLE if wanted.is_reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if wanted.is_latched else DurabilityPolicy.VOLATILE,
     )
-
-
-class DuplicateNodes:
-    """Looks for other nodes with the name of a node; logs each change of their number.
-
-    ROS allows two nodes of one name, and both obey commands and publish on the same topics.
-
-    Args:
-        node: whose name it is.
-    """
-
-    def __init__(self, node: Node) -> None:
-        self._node = node
-        self._others = 0
-
-    def look(self) -> int:
-        """How many others there are now."""
-        name = self._node.get_fully_qualified_name()
-        found = [f"{space.rstrip('/')}/{short}" for short, space in self._node.get_node_names_and_namespaces()]
-        others = max(0, found.count(name) - 1)
-        if others > self._others:
-            self._node.get_logger().warning(
-                f"{others + 1} nodes are called {name}: all of them publish and obey on the same topics; end "
-                "the others, or start each under its own name or namespace (--ros-args -r __node:=... or -r __ns:=...)"
-            )
-        self._others = others
-        return others
 
 
 class Stops(Protocol):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -16,6 +16,7 @@ from valve_sim.records.archive import Archive
 _FIGURES: Final = ("t1", "t2", "closing_time", "main_damping", "residual")
 _SHOWN: Final = 20
 """Findings and alarms that are printed, the last ones."""
+_LEVELS: Final = {0: "OK", 1: "WARN", 2: "ERROR", 3: "STALE"}
 Rows = Sequence[Mapping[str, Any]]
 
 
@@ -28,24 +29,20 @@ class Month(NamedTuple):
 
 
 class Story(NamedTuple):
-    """What happened to a valve: strokes by month, and rows of findings, alarms and examined recordings, by time."""
+    """What happened to a valve: strokes by month, and rows of findings, alarms and strokes, by time."""
 
     valve: str
     months: tuple[Month, ...]
     findings: Rows
     alarms: Rows
-    recordings: Rows
     strokes: Rows
 
 
 def tell(archive: Archive, valve: str, since: datetime | None, until: datetime | None) -> Story:
-    """What an archive holds of a valve.
-
-    Args:
-        valve: full name of its node; the first slash may be left out. since, until: as `Archive.read` has them.
+    """What an archive holds of a valve; the first slash of its name may be left out.
 
     Raises:
-        ValveError: the archive has nothing of that valve, or a file is damaged.
+        ValveError: the archive has nothing of that valve, or is damaged.
     """
     known = archive.valves()
     name = valve if valve in known else f"/{valve}"
@@ -60,10 +57,8 @@ def tell(archive: Archive, valve: str, since: datetime | None, until: datetime |
         Month(month, len(rows), {figure: _median(rows, figure) for figure in _FIGURES})
         for month, rows in by_month.items()
     )
-    findings, alarms, recordings = (
-        archive.read(kind, name, since, until) for kind in ("findings", "alarms", "recordings")
-    )
-    return Story(name, months, findings, alarms, recordings, strokes)
+    findings, alarms = archive.read("findings", name, since, until), archive.read("alarms", name, since, until)
+    return Story(name, months, findings, alarms, strokes)
 
 
 def story_json(story: Story) -> dict[str, Any]:
@@ -74,7 +69,6 @@ def story_json(story: Story) -> dict[str, Any]:
         "months": [{"month": month.month, "strokes": month.strokes, **month.medians} for month in story.months],
         "findings": [_dated(row) for row in story.findings],
         "alarms": [_dated(row) for row in story.alarms],
-        "recordings": [_dated(row) for row in story.recordings],
     }
 
 
@@ -88,12 +82,7 @@ def story_text(story: Story) -> str:
             f"{month.month}{month.strokes:10d}{_scaled(t1, 1e3):>10}{_scaled(t2, 1e3):>10}{_scaled(closing, 1e3):>14}"
             f"{_scaled(damping, 1.0):>12}{_scaled(residual, 1e6):>15}"
         )
-    listed: tuple[tuple[str, Rows, Callable[[Mapping[str, Any]], str]], ...] = (
-        ("findings", story.findings, _finding),
-        ("alarms", story.alarms, _alarm),
-        ("recordings", story.recordings, _recording),
-    )
-    for name, rows, words in listed:
+    for name, rows, words in (("findings", story.findings, _finding), ("alarms", story.alarms, _alarm)):
         if rows:
             left = f", the last {_SHOWN} of {len(rows)}" if len(rows) > _SHOWN else ""
             lines += ["", f"{name}{left}:"]
@@ -128,7 +117,7 @@ def plot_story(path: Path, story: Story) -> None:
 
 
 def _median(rows: Rows, figure: str) -> float | None:
-    values = [row[figure] for row in rows if row[figure] is not None and math.isfinite(row[figure])]
+    values = [row[figure] for row in rows if row[figure] is not None]
     return statistics.median(values) if values else None
 
 
@@ -144,11 +133,5 @@ def _finding(row: Mapping[str, Any]) -> str:
     return row["summary"] or f"{row['effect']} {row['parameter']} {row['value']} {row['unit'] or ''}".strip()
 
 
-def _recording(row: Mapping[str, Any]) -> str:
-    return f"{row['summary'] or row['verdict']} ({row['source']})"
-
-
 def _alarm(row: Mapping[str, Any]) -> str:
-    level = {0: "OK", 1: "WARN", 2: "ERROR", 3: "STALE"}.get(row["level"], str(row["level"]))
-    shelved = " (shelved)" if row["is_shelved"] else ""
-    return f"{level}{shelved} {row['message'] or ''}"
+    return f"{_LEVELS.get(row['level'], row['level'])} {row['message'] or ''}"

@@ -28,27 +28,26 @@ plc_node: Final = Program(
     plc_node lets a PLC command the coils of valves over Modbus TCP.
 
     It shows the PLC the state of each valve, and de-energises the coils when the PLC's
-    heartbeat stands still. It needs the extra modbus: pip install '.[modbus]'.
+    heartbeat stands still. To poll a PLC that is the server (plc_host) it needs the extra
+    modbus: pip install '.[modbus]'.
 
         plc_node --ros-args -p valves:='[valve]' -p map_file:=registers.csv
 """,
     "docs/how_to/plc.md",
-    needs=Extra("pymodbus.simulator", "modbus", "Modbus TCP"),
 )
 archive_node: Final = Program(
     "archive_node",
     "valve_sim.station.archive_node:ArchiveNode",
     """
-    archive_node keeps strokes, findings and alarms of valves for years, as Parquet files.
+    archive_node keeps strokes, findings and alarms of valves for years, in SQLite.
 
     It subscribes to what monitors and valves publish; `valve-sim history` prints what it has
-    kept. It needs the extra parquet: pip install '.[parquet]'.
+    kept.
 
         archive_node --ros-args -p folder:=archive -p valves:='[valve]' \\
             -p monitors:='[monitor]'
 """,
     "docs/how_to/archive.md",
-    needs=Extra("pyarrow", "parquet", "the archive"),
 )
 
 if __name__ == "__main__":

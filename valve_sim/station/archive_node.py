@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Sequence
 from datetime import datetime, timezone
 from functools import partial
@@ -10,19 +11,93 @@ from pathlib import Path
 from typing import Final
 
 from valve_sim.files.parameter_sections import Section
-from valve_sim.files.whole_files import refuse_unwritable
 from valve_sim.model.errors import ValveError
 from valve_sim.nodes.spinning import every
 from valve_sim.nodes.wiring import RosNode, full_name
-from valve_sim.records.archive import Archive
-from valve_sim.station.figures import Report
+from valve_sim.records.archive import COLUMNS, Archive, Kind, Row
+from valve_sim.station.figures import FIGURES, Report, Values
 from valve_sim.station.hearing import StationEar
-from valve_sim.station.keeping import Keeper
 from valve_sim.station.tables import ARCHIVE_TOPICS, ArchiveSettings
 
 _PERIOD: Final = 0.5
 """s between looks at what was heard."""
 _BETWEEN_PRUNINGS: Final = 6.0 * 3600.0
+_MOST_WAITING: Final = 10_000
+"""Rows that are kept in memory while the archive cannot be written; then the oldest goes."""
+SERVICE: Final = "service"
+"""The class of a row of alarms that says that a person has serviced the valve."""
+ANSWER: Final = "answer"
+"""The class of a row of alarms that says what a person has done to an alarm over OPC UA."""
+_CLASSES: Final = {"Health": "health", "Driver": "driver"}
+"""Class of alarms by the group of figures that has their level: of the valve, and of its own node."""
+
+
+class Keeper:
+    """Turns reports into rows of an archive, each thing once, and keeps the rows until they are written.
+
+    Args:
+        archive: is written.
+    """
+
+    def __init__(self, archive: Archive) -> None:
+        self._archive, self._waiting = archive, deque[Row](maxlen=_MOST_WAITING)
+        self._levels: dict[tuple[str, str], int] = {}
+        self._since_service: dict[str, int] = {}
+        self._findings: dict[str, str] = {}
+
+    def take(self, report: Report) -> None:
+        """Keep what is new in a report."""
+        values, valve = report.values, report.valve
+        if "Stroke.Number" in values:
+            before = self.strokes_since_service(valve)
+            self._keep("strokes", report, _row("strokes", "Stroke", values))
+            self._since_service[valve] = before + 1
+        summary = values.get("Finding.Summary")
+        if isinstance(summary, str) and self._findings.get(valve) != summary:
+            self._findings[valve] = summary
+            self._keep("findings", report, _row("findings", "Finding", values))
+        for group, of in _CLASSES.items():
+            level = values.get(f"{group}.Level")
+            if isinstance(level, int) and self._levels.get((valve, group), 0) != level:
+                self._levels[valve, group] = level
+                self._alarm(report, level, of, values.get(f"{group}.Message"))
+        if "Answer.Message" in values:
+            told = {"user": values["Answer.User"], "comment": values["Answer.Comment"]}
+            self._alarm(report, values["Answer.Level"], ANSWER, values["Answer.Message"], told)
+
+    def note_service(self, valve: str, at: datetime) -> str:
+        """Keep that a valve was serviced, and count its strokes anew; what is kept, in words."""
+        words = f"serviced after {self.strokes_since_service(valve)} strokes"
+        self._alarm(Report(valve, at, {}), 0, SERVICE, words)
+        self._since_service[valve] = 0
+        return words
+
+    def write(self) -> None:
+        """Write what waits.
+
+        Raises:
+            ValveError: it cannot be written, and waits on.
+        """
+        if self._waiting:
+            self._archive.write(self._waiting)
+            self._waiting.clear()
+
+    def strokes_since_service(self, valve: str) -> int:
+        """How many strokes of a valve were kept since it was serviced, or at all; earlier starts count too."""
+        if valve not in self._since_service:
+            services = [row["time"] for row in self._archive.read("alarms", valve) if row["alarm_class"] == SERVICE]
+            self._since_service[valve] = self._archive.count("strokes", valve, services[-1] if services else None)
+        return self._since_service[valve]
+
+    def _alarm(
+        self, report: Report, level: object, of: str, message: object, more: dict[str, object] | None = None
+    ) -> None:
+        since = self.strokes_since_service(report.valve)
+        row = {"level": level, "alarm_class": of, "message": message, "strokes_since_service": since, **(more or {})}
+        self._keep("alarms", report, row)
+
+    def _keep(self, kind: Kind, report: Report, values: dict[str, object]) -> None:
+        self._waiting.append(Row.checked(kind, report.valve, report.time, values))
 
 
 class ArchiveNode(RosNode[ArchiveSettings]):
@@ -31,20 +106,19 @@ class ArchiveNode(RosNode[ArchiveSettings]):
     Parameters: `tables.ArchiveSettings`; they are read once, at the start. What cannot be written waits.
 
     Raises:
-        ValveError: a parameter cannot be used, or the folder cannot be written.
+        ValveError: a parameter cannot be used, or the archive cannot be written.
     """
 
     def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
         super().__init__("archive", sections, ArchiveSettings, ARCHIVE_TOPICS)
-        settings = self._settings
-        folder = Path(settings.folder).expanduser()
-        refuse_unwritable(folder / "any.parquet")
-        self._archive = Archive(folder, settings.years, int(1e6 * settings.megabytes))
-        self._keeper, self._prune_at = Keeper(self._archive), time.monotonic()
-        valves, monitors = self._full_names("valves"), self._full_names("monitors")
-        alarms = full_name(self._node, settings.alarms, "alarms")
+        folder, valves = Path(self._settings.folder).expanduser(), self._full_names("valves")
+        self._archive, self._prune_at = Archive(folder, is_written=True), time.monotonic()
+        self._keeper = Keeper(self._archive)
+        for valve in valves:  # a damaged archive is said at the start
+            self._keeper.strokes_since_service(valve)
+        alarms, monitors = full_name(self._node, self._settings.alarms, "alarms"), self._full_names("monitors")
         self._ear = StationEar(
-            self._node, self._clock, self._interface, valves, monitors, self._take, is_live=False, alarms=alarms
+            self._node, self._clock, self._interface, valves, monitors, self._keeper.take, is_live=False, alarms=alarms
         )
         for valve in valves:
             self._interface.serve("{valve}/serviced", partial(self._note_service, valve), valve=valve)
@@ -54,19 +128,17 @@ class ArchiveNode(RosNode[ArchiveSettings]):
     def close(self, timeout: float) -> bool:
         """Write what waits, and release everything."""
         try:
-            self._archive.flush()
+            self._keeper.write()
         except ValveError as error:
             print(f"archive_node: what was not written yet is lost: {error}")
+        self._archive.close()
         return super().close(timeout)
-
-    def _take(self, report: Report) -> None:
-        self._keeper.take(report, time.monotonic())
 
     def _note_service(self, valve: str) -> tuple[bool, str]:
         self._ear.look()  # strokes that came before
+        words = self._keeper.note_service(valve, datetime.now(timezone.utc))
         try:
-            words = self._keeper.note_service(valve, datetime.now(timezone.utc), time.monotonic())
-            self._archive.flush()
+            self._keeper.write()
         except ValveError as error:
             return False, f"{error}; it is kept when that is possible again"
         return True, f"{valve}: {words}; they count from 0 again"
@@ -75,10 +147,16 @@ class ArchiveNode(RosNode[ArchiveSettings]):
         self._ear.look()
         now = time.monotonic()
         try:
-            self._archive.tick(now)
+            self._keeper.write()
             if now >= self._prune_at:
                 self._prune_at = now + _BETWEEN_PRUNINGS
-                for month in self._archive.prune():
+                for month in self._archive.prune(self._settings.years, int(1e6 * self._settings.megabytes)):
                     self._node.get_logger().info(f"{month} has been taken out of the archive")
         except ValveError as error:
             self._node.get_logger().error(f"{error}; rows wait", throttle_duration_sec=10.0)
+
+
+def _row(kind: Kind, group: str, values: Values) -> dict[str, object]:
+    """The figures of a group for which the archive has a column."""
+    row = {figure.column: values.get(figure.path) for figure in FIGURES if figure.group == group}
+    return {column: value for column, value in row.items() if column in COLUMNS[kind]}

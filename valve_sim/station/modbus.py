@@ -1,40 +1,46 @@
-"""The registers of a `PlcStation` over Modbus TCP: as a server that a PLC polls, or as a client that polls a PLC."""
+"""The registers of a `PlcStation` as a Modbus TCP server, which any number of PLCs may poll."""
 
 from __future__ import annotations
 
 import asyncio
-import logging
+import struct
 import time
 from collections.abc import Callable
-from typing import Any, Final
-
-from pymodbus.client import AsyncModbusTcpClient
-from pymodbus.constants import ExcCodes
-from pymodbus.exceptions import ModbusException
-from pymodbus.server import ModbusTcpServer
-from pymodbus.simulator import DataType, SimData, SimDevice
+from typing import Final
 
 from valve_sim.model.errors import ValveError
-from valve_sim.station.plc import COMMANDS, SPACING, STATUS, PlcStation, RefusedError
+from valve_sim.station.plc import PlcStation, RefusedError, UnknownRegisterError
 
-# pymodbus logs each broken frame, which anybody on the network can send by the thousand.
-logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
+READ, READ_INPUT, WRITE_ONE, WRITE = 3, 4, 6, 16
+"""Functions that are answered; holding and input registers are the same."""
+ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE = 1, 2, 3
+"""Exceptions by which others are refused; what is refused changes nothing."""
+_MOST_READ, _MOST_WRITTEN, _LONGEST_FRAME = 125, 123, 254
+"""Registers in one request, and bytes after its length, by the specification of Modbus."""
+_HEAD: Final = struct.Struct(">HHH")
+_TWO: Final = struct.Struct(">HH")
+IDLE_SECONDS: Final = 120.0
+"""s without a whole request, after which a connection is closed: twice the longest watchdog."""
+MOST_CONNECTIONS: Final = 100
+"""Beyond it the connection that has been idle for longest is closed, so that nobody keeps a PLC out."""
 
-_READS, _WRITES = (3, 4), (6, 16)
-_STATUS_COUNT: Final = 8
 Clock = Callable[[], float]
 
 
 class PlcServer:
-    """A Modbus TCP server, which any number of PLCs may poll; every unit identifier is answered.
+    """A Modbus TCP server; every unit identifier is answered.
 
     Args:
         station: what is read and written. address, port: that it listens on. clock: s, does not go back.
+        idle: s without a whole request, after which a connection is closed.
     """
 
-    def __init__(self, station: PlcStation, address: str, port: int, clock: Clock = time.monotonic) -> None:
-        self._station, self._place, self._clock = station, (address, port), clock
-        self._server: Any = None
+    def __init__(
+        self, station: PlcStation, address: str, port: int, clock: Clock = time.monotonic, idle: float = IDLE_SECONDS
+    ) -> None:
+        self._station, self._place, self._clock, self._idle = station, (address, port), clock, idle
+        self._heard_at: dict[asyncio.StreamWriter, float] = {}
+        """Of each connection the time of its last request, s of time.monotonic; the longest idle one comes first."""
 
     async def start(self) -> None:
         """Listen.
@@ -42,105 +48,86 @@ class PlcServer:
         Raises:
             ValveError: the port is taken.
         """
-        block = SimData(0, count=self._station.count, values=0, datatype=DataType.REGISTERS)
-        device = SimDevice(0, simdata=[block], action=self._act)
-        self._server = ModbusTcpServer(device, address=self._place)
         address, port = self._place
         try:
-            await self._server.serve_forever(background=True)
-        except (OSError, RuntimeError) as error:
+            self._server = await asyncio.start_server(self._serve, address, port)
+        except OSError as error:
             raise ValveError(
                 f"port {port} of {address}: cannot be listened on ({error}); choose another by the parameter port"
             ) from error
+        self._closing = asyncio.create_task(self._close_idle())
 
     async def stop(self) -> None:
         """Close all connections."""
-        await self._server.shutdown()
+        self._closing.cancel()
+        self._server.close()
+        for writer in [*self._heard_at]:
+            self._drop(writer)
 
-    async def _act(self, function: int, first: int, address: int, count: int, registers: list[int], values: Any) -> Any:
-        """Answer one request: registers are the station's, whatever pymodbus keeps of them."""
-        now = self._clock()
-        if function in _WRITES:
-            try:
-                self._station.write(address, values, now)
-            except RefusedError:
-                return ExcCodes.ILLEGAL_VALUE
-        elif function not in _READS:
-            return ExcCodes.ILLEGAL_FUNCTION
-        registers[:] = self._station.read(now)
-        return None
+    def _drop(self, writer: asyncio.StreamWriter) -> None:
+        del self._heard_at[writer]
+        writer.transport.abort()
 
+    async def _close_idle(self) -> None:
+        while True:
+            await asyncio.sleep(min(1.0, self._idle))
+            limit = time.monotonic() - self._idle
+            for writer in [writer for writer, at in self._heard_at.items() if at < limit]:
+                self._drop(writer)
 
-class PlcClient:
-    """Polls a PLC that is the server: reads its commands, writes the status, and begins anew where it does not answer.
-
-    The PLC has the map's registers from an address of its own on.
-
-    Args:
-        station: what is read and written. host, port: of the PLC. first: address of the map's first register there.
-        unit: identifier of the PLC. period: s from cycle to cycle. say: told when the PLC is lost and found.
-        clock: s, does not go back.
-    """
-
-    def __init__(
-        self, station: PlcStation, host: str, port: int, *, first: int = 0, unit: int = 1, period: float = 0.01,
-        say: Callable[[str], None] = lambda words: None, clock: Clock = time.monotonic,
-    ) -> None:  # fmt: skip
-        self._station, self._host, self._port = station, host, port
-        self._first, self._unit, self._period = first, unit, period
-        self._say, self._clock = say, clock
-        self._task: Any = None
-        self.cycles = 0
-
-    async def start(self) -> None:
-        """Begin to poll."""
-        self._task = asyncio.create_task(self._poll())
-
-    async def stop(self) -> None:
-        """Stop polling."""
-        self._task.cancel()
-        try:
-            await self._task
-        except asyncio.CancelledError:
-            return
-
-    async def _poll(self) -> None:
-        client = AsyncModbusTcpClient(self._host, port=self._port, timeout=1.0, retries=0, reconnect_delay=0.1)
-        is_lost, place = False, f"the PLC at {self._host}:{self._port}"
-        due = self._clock()
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Answer one connection until it ends or sends what is no Modbus."""
+        self._heard_at[writer] = time.monotonic()
+        if len(self._heard_at) > MOST_CONNECTIONS:
+            self._drop(next(iter(self._heard_at)))
         try:
             while True:
-                try:
-                    if not client.connected and not await client.connect():
-                        raise ModbusException("no connection")
-                    await self._cycle(client)
-                except (ModbusException, OSError, asyncio.TimeoutError) as error:
-                    if not is_lost:
-                        self._say(f"{place} does not answer ({error}); its coils are de-energised by their watchdogs")
-                    is_lost = True
-                    client.close()
-                    await asyncio.sleep(0.1)
-                    continue
-                if is_lost:
-                    self._say(f"{place} answers again")
-                is_lost = False
-                self.cycles += 1
-                due = max(due + self._period, self._clock())
-                await asyncio.sleep(max(0.0, due - self._clock()))
+                number, protocol, length = _HEAD.unpack(await reader.readexactly(_HEAD.size))
+                if protocol != 0 or not 2 <= length <= _LONGEST_FRAME:
+                    return
+                unit, *request = await reader.readexactly(length)
+                del self._heard_at[writer]
+                self._heard_at[writer] = time.monotonic()
+                answer = bytes([unit, *self.answer(bytes(request))])
+                writer.write(_HEAD.pack(number, 0, len(answer)) + answer)
+                await writer.drain()
+        except (OSError, asyncio.IncompleteReadError, KeyError):
+            return  # it ended, was idle for too long, or had to make room for others
         finally:
-            client.close()
+            self._heard_at.pop(writer, None)
+            writer.close()
 
-    async def _cycle(self, client: Any) -> None:
-        for valve in range(len(self._station.valves)):
-            base = SPACING * valve
-            found = await client.read_holding_registers(self._first + base, count=COMMANDS, device_id=self._unit)
-            if found.isError() or len(found.registers) != COMMANDS:
-                raise ModbusException(f"register {self._first + base} cannot be read: {found}")
-            try:
-                self._station.write(base, found.registers, self._clock())
-            except RefusedError as error:
-                self._say(f"a command of the PLC is left out: {error}")
-            status = self._station.read(self._clock())[base + STATUS : base + STATUS + _STATUS_COUNT]
-            done = await client.write_registers(self._first + base + STATUS, status, device_id=self._unit)
-            if done.isError():
-                raise ModbusException(f"register {self._first + base + STATUS} cannot be written: {done}")
+    def answer(self, request: bytes) -> bytes:
+        """The answer to a request, both from the function's code on."""
+        try:
+            return self._answered(request)
+        except UnknownRegisterError:
+            code = ILLEGAL_ADDRESS
+        except (RefusedError, struct.error):
+            code = ILLEGAL_VALUE
+        except KeyError:
+            code = ILLEGAL_FUNCTION
+        return bytes([request[0] | 0x80, code])
+
+    def _answered(self, request: bytes) -> bytes:
+        """Raises RefusedError or struct.error for a value, UnknownRegisterError, and KeyError for a function."""
+        now, function, content = self._clock(), request[0], request[1:]
+        if function in (READ, READ_INPUT):
+            first, count = _TWO.unpack(content)
+            if not 1 <= count <= _MOST_READ:
+                raise RefusedError(f"found {count} registers to be read, expected 1 to {_MOST_READ}")
+            if first + count > self._station.count:
+                raise UnknownRegisterError(f"register {first + count - 1}: is not in the map")
+            registers = self._station.read(now)[first : first + count]
+            return struct.pack(f">BB{count}H", function, 2 * count, *registers)
+        if function == WRITE_ONE:
+            first, value = _TWO.unpack(content)
+            self._station.write(first, [value], now)
+            return request
+        if function == WRITE:
+            first, count, length = struct.unpack(">HHB", content[:5])
+            if not 1 <= count <= _MOST_WRITTEN or length != 2 * count:
+                raise RefusedError(f"found {count} registers in {length} bytes, expected 1 to {_MOST_WRITTEN}")
+            self._station.write(first, struct.unpack(f">{count}H", content[5:]), now)
+            return request[:5]
+        raise KeyError(function)

@@ -84,11 +84,14 @@ class Coil:
         self._beat_at = -math.inf
         self._command = 0
         self._is_armed = False
+        self.is_heard = False
+        """Whether the PLC has written to it."""
         self.trips = 0
 
     def write(self, heartbeat: int | None, command: int | None, now: float) -> None:
         """Take what the PLC wrote; None for what it did not write."""
         self.is_on(now)  # what ended before this write has ended, even if the PLC lives again
+        self.is_heard = True
         if heartbeat is not None:
             if self._heartbeat is not None and heartbeat != self._heartbeat:
                 self._beat_at = max(now, self._beat_at)
@@ -139,6 +142,10 @@ class RefusedError(ValveError):
     """The PLC wrote what cannot be obeyed; nothing of it counts."""
 
 
+class UnknownRegisterError(RefusedError):
+    """The PLC asked for a register that is not in the map, or wrote one that a PLC does not write."""
+
+
 class PlcStation:
     """The registers of some valves, written by a PLC and by what is heard of the valves. Any thread may call.
 
@@ -176,6 +183,11 @@ class PlcStation:
         with self._lock:
             return self._coils[valve].is_on(now)
 
+    def is_heard(self, valve: int) -> bool:
+        """Whether the PLC has written to a valve's registers."""
+        with self._lock:
+            return self._coils[valve].is_heard
+
     def is_silent(self, valve: int, now: float) -> bool:
         """Whether the PLC has shown no other heartbeat within the watchdog's time."""
         with self._lock:
@@ -190,16 +202,17 @@ class PlcStation:
         """Take registers that a PLC wrote, all or none.
 
         Raises:
-            RefusedError: an address is not one that a PLC writes, or a value is not one of it.
+            UnknownRegisterError: a register is not one that a PLC writes. RefusedError: a value is not one of its own.
         """
         written: dict[int, dict[int, int]] = {}
         for place, value in enumerate(values, start=address):
             valve, offset = divmod(place, SPACING)
             if not 0 <= valve < len(self.valves) or offset >= COMMANDS:
-                raise RefusedError(f"register {place}: is not written by a PLC")
-            if offset == 1 and value not in (0, 1):
-                raise RefusedError(f"register {place}: found {value}, expected 0 or 1")
+                raise UnknownRegisterError(f"register {place}: is not written by a PLC")
             written.setdefault(valve, {})[offset] = value
+        for valve, found in written.items():
+            if found.get(1, 0) not in (0, 1):
+                raise RefusedError(f"register {SPACING * valve + 1}: found {found[1]}, expected 0 or 1")
         switched = []
         with self._lock:
             for valve, found in written.items():

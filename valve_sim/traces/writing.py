@@ -16,7 +16,6 @@ from rosbags.interfaces import Nodetype
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from valve_sim.files.channels import COIL, COIL_STATE, FLOAT, JOINT_STATE, MAIN, PILOT, SIGNALS
-from valve_sim.files.ledger import note_written
 from valve_sim.files.whole_files import atomic_write
 from valve_sim.traces.cdr import encode_messages, typestore
 from valve_sim.traces.clocks import SECOND
@@ -125,7 +124,6 @@ class BagRecorder:
                 (self._writer.path / self.path.name).replace(self.path)
             else:
                 self._writer.path.rename(self.path)
-        note_written(self.path)
         shutil.rmtree(self._workshop, ignore_errors=True)
 
     def discard(self) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import math
 
 import pytest
@@ -13,7 +12,6 @@ from valve_sim.identification.estimation.budget import DERIVATIVES, STROKES_A_SE
 from valve_sim.identification.reporting.diagnosis_json import to_json
 from valve_sim.identification.reporting.summary import summarise
 from valve_sim.model import ValveError
-from valve_sim.progress_lines import ProgressLines
 
 from ..recordings import Short
 from .test_run import DECLARED, measured
@@ -88,22 +86,3 @@ def test_the_declared_model_is_fitted_whatever_the_work() -> None:
     found = diagnose([trace], [], DECLARED, budget=Budget(1.0))
     assert (found.verdict.kind, found.verdict.effects) == ("insufficient", ())
     assert len(found.untried) > 20
-
-
-def test_progress_is_a_line_for_each_wait() -> None:
-    stream, times = io.StringIO(), iter([100.0, 110.0, 120.4])
-    told = iter([("coulomb_friction", 0.1), ("coil_heating", 0.25)])
-
-    def wait() -> bool:
-        latest = next(told, None)
-        if latest is not None:
-            lines(*latest)
-        return latest is None
-
-    lines = ProgressLines(stream, wait, lambda: next(times))
-    with lines:
-        pass
-    assert stream.getvalue().splitlines() == [
-        "valve-sim: 10 s, 10 % done: coulomb_friction",
-        "valve-sim: 20 s, 25 % done: coil_heating",
-    ]

@@ -100,11 +100,25 @@ def test_without_a_telling_pulse_the_file_has_full_strokes_that_can_be_simulated
     assert response.pilot_position[-1] < 1e-9
 
 
+@pytest.mark.parametrize(
+    ("reference", "driven", "highest"), [(24.0, 12.0, 12.0), (9.0, 9.0, 14.0), (9.0, 12.0, 14.0), (24.0, 24.0, 37.33)]
+)
+def test_no_profile_drives_a_coil_beyond_what_it_was_driven_with_below_its_reference(
+    tmp_path: Path, reference: float, driven: float, highest: float
+) -> None:
+    """37 V for a coil that was driven with 12 V would burn it; what command_profile refuses by default is allowed."""
+    valve = DECLARED.with_values(reference_voltage=reference)
+    write_profile(tmp_path / "record_next.yaml", None, valve, "by a test", driven=driven)
+    volts = read_profile(tmp_path / "record_next.yaml").volts
+    assert max(volts) == highest
+    assert (" -p max_voltage:=38.0" in (tmp_path / "record_next.yaml").read_text()) == (highest > 30.0)
+
+
 def test_experiments_and_advice_follow_the_reference_voltage() -> None:
     plant = ValvePlant([measured(single_opening(), 3)], DECLARED.with_values(reference_voltage=24.0))
     pulses = {experiment.words.partition(" V")[0] for experiment in plant.experiments}
-    assert pulses == {"20", "24", "29.33", "37.33"}
-    assert "at 20 to 37.33 V" in plant.advice.first
+    assert pulses == {"7.5", "7.85", "8.31", "9"}, "it was driven with 9 V alone"
+    assert "at 7.5 to 9 V" in plant.advice.first
     pulses = {experiment.words.partition(" V")[0] for experiment in ValvePlant(plant.traces, DECLARED).experiments}
     assert pulses == {"7.5", "9", "11", "14"}
 

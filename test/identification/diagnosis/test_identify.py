@@ -6,6 +6,7 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from plants.recording import Recorder
 from benchmarks.coverage import measure
 from identification.recordings import TRUTH, one_opening, recorded, shortened
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.diagnosis.identify import check_free, identify
+from valve_sim.identification.diagnosis.identify import Identification, check_free, identify
 from valve_sim.identification.estimation.findings import (
     Correlated,
     ExplainedByErrors,
@@ -31,10 +32,28 @@ from valve_sim.model import ParameterError, Valve
 EXACT_VALVE = default_valve().exact()
 
 
+class Opening(NamedTuple):
+    """What was identified of one opening, and the fractions that were told meanwhile."""
+
+    result: Identification
+    told: list[float]
+
+
+@pytest.fixture(scope="module")
+def opening() -> Opening:
+    """One opening, and the progress that was told while it was identified."""
+    told: list[tuple[str, float]] = []
+    result = identify([one_opening()], EXACT_VALVE, progress=lambda what, done: told.append((what, done)))
+    return Opening(result, [done for _, done in told])
+
+
 @pytest.mark.parametrize(
     "recorder",
-    [Recorder(quantisation=0.1e-6), Recorder(quantisation=0.1e-6, colour=0.7), Recorder(quantisation=5e-6)],
-    ids=["white", "coloured", "coarse"],
+    [
+        pytest.param(Recorder(quantisation=0.1e-6), id="white"),
+        pytest.param(Recorder(quantisation=0.1e-6, colour=0.7), id="coloured", marks=pytest.mark.long),
+        pytest.param(Recorder(quantisation=5e-6), id="coarse", marks=pytest.mark.long),
+    ],
 )
 def test_both_dampings_come_out(recorder: Recorder) -> None:
     result = identify([recorded(recorder)], EXACT_VALVE)
@@ -47,8 +66,8 @@ def test_both_dampings_come_out(recorder: Recorder) -> None:
     assert result.findings == ()
 
 
-def test_the_reference_names_what_the_report_has() -> None:
-    report = identification_json(identify([one_opening()], EXACT_VALVE))
+def test_the_reference_names_what_the_report_has(opening: Opening) -> None:
+    report = identification_json(opening.result)
     page = (Path(__file__).parents[3] / "docs" / "reference" / "report_json.md").read_text(encoding="utf-8")
     of_identify = page.split("## The report of identify")[1].split("\n## ")[0]
     named = set(re.findall(r"`(\w+)`", of_identify))
@@ -63,8 +82,8 @@ def test_a_small_slice_of_the_coverage_benchmark_is_good() -> None:
     assert [row for row in rows if not row.is_good] == []
 
 
-def test_one_opening_holds_the_main_damping_and_not_the_pilots() -> None:
-    result = identify([one_opening()], EXACT_VALVE)
+def test_one_opening_holds_the_main_damping_and_not_the_pilots(opening: Opening) -> None:
+    result = opening.result
     main, pilot = result.intervals["main_damping"], result.intervals["pilot_damping"]
     assert main.low < TRUTH["main_damping"] < main.high
     assert pilot.low < TRUTH["pilot_damping"] < pilot.high
@@ -101,15 +120,16 @@ def test_a_parameter_on_its_bound_is_said_to_be_there() -> None:
 
 
 def test_several_bags_make_one_fit() -> None:
-    traces = [recorded(seed=seed) for seed in (1, 2, 3)]
+    traces = [recorded(seed=seed) for seed in (1, 2)]
     alone, together = identify(traces[:1], EXACT_VALVE), identify(traces, EXACT_VALVE)
-    assert len(identification_json(together)["clock_offsets_us"]) == 3
-    assert together.sources == ("seed 1", "seed 2", "seed 3")
+    assert len(identification_json(together)["clock_offsets_us"]) == 2
+    assert together.sources == ("seed 1", "seed 2")
     for name, truth in TRUTH.items():
-        assert together.intervals[name].stderr == pytest.approx(alone.intervals[name].stderr / 3.0**0.5, rel=0.1)
+        assert together.intervals[name].stderr == pytest.approx(alone.intervals[name].stderr / 2.0**0.5, rel=0.1)
         assert abs(together.intervals[name].value - truth) < 4.0 * together.intervals[name].stderr
 
 
+@pytest.mark.long
 def test_several_starts_leave_a_local_minimum() -> None:
     far = EXACT_VALVE.with_values(pilot_damping=40.0, main_damping=0.05)
     result = identify([recorded()], far)
@@ -121,9 +141,7 @@ def test_several_starts_leave_a_local_minimum() -> None:
     ("name", "effects", "parameters", "truth"),
     [
         ("coulomb_friction.force", {"coulomb_friction": {"force": 0.2}}, {}, 0.2),
-        ("eddy_lag.time_constant", {"eddy_lag": {"time_constant": 0.3e-3}}, {}, 0.3e-3),
         ("a0", {}, {}, 3.0336),
-        ("spring_preload", {}, {"spring_preload": 2.6}, 2.6),
         ("coil_time_constant", {}, {"coil_time_constant": 1.1e-3}, 1.1e-3),
     ],
 )
@@ -140,6 +158,7 @@ def test_any_parameter_can_be_freed_by_name(
     assert found == interval.value
 
 
+@pytest.mark.long
 def test_an_effect_that_is_declared_stays_on() -> None:
     valve = Valve(EXACT_VALVE.parameters, {"coulomb_friction": {"force": 0.2}})
     result = identify([recorded(effects={"coulomb_friction": {"force": 0.2}})], valve)
@@ -156,10 +175,8 @@ def test_a_misspelt_name_is_refused_with_the_nearest(name: str, meant: str) -> N
         check_free([name])
 
 
-def test_progress_is_told_and_the_report_is_json() -> None:
-    told: list[tuple[str, float]] = []
-    result = identify([one_opening()], EXACT_VALVE, progress=lambda what, done: told.append((what, done)))
-    fractions = [fraction for _, fraction in told]
+def test_progress_is_told_and_the_report_is_json(opening: Opening) -> None:
+    result, fractions = opening
     assert fractions == sorted(fractions)
     assert fractions[0] == 0.0
     assert fractions[-1] == 1.0
@@ -179,7 +196,7 @@ def test_stamps_of_commands_that_scatter_are_estimated_along() -> None:
     assert 20e-6 < stamps.largest < 200e-6
 
 
-@pytest.mark.parametrize("force", [0.02, 0.05, 0.2])
+@pytest.mark.parametrize("force", [0.02, 0.2])
 def test_what_a_model_lacks_is_said_or_that_errors_of_the_recording_may_be_that(force: float) -> None:
     result = identify([recorded(effects={"coulomb_friction": {"force": force}})], EXACT_VALVE)
     (said,) = (own for own in result.findings if isinstance(own, (LacksSomething, ExplainedByErrors)))
@@ -191,7 +208,10 @@ def test_what_a_model_lacks_is_said_or_that_errors_of_the_recording_may_be_that(
 def test_errors_of_a_recording_are_estimated_along() -> None:
     """A sensor that shows 0.5 % too much reads as nothing else; the dampings hold beside it."""
     trace = recorded(Recorder(quantisation=0.1e-6))
-    result = identify([replace(trace, pilot_position=1.005 * trace.pilot_position)], EXACT_VALVE)
+    table = replace(trace, pilot_position=1.005 * trace.pilot_position, clock="time column")
+    result = identify([table], EXACT_VALVE)
+    (clock,) = (own for own in result.recording[trace.source] if own.error == "clock_offset")
+    assert "share one clock" in clock.what_to_do, "a table has no two clocks that could be synchronised"
     (scale,) = (own for own in result.recording[trace.source] if own.error == "scale")
     assert abs(scale.size - 0.005) < 3.0 * scale.stderr
     assert scale.stderr < 0.001
@@ -202,6 +222,7 @@ def test_errors_of_a_recording_are_estimated_along() -> None:
     assert entry["size"] == pytest.approx(100.0 * scale.size)
 
 
+@pytest.mark.long
 def test_a_bandwidth_freed_on_positions_without_a_filter_is_out_of_reach() -> None:
     trace, name = recorded(), "sensor_bandwidth.cutoff_frequency"
     interval = identify([trace], EXACT_VALVE.with_values(**TRUTH), [name]).intervals[name]

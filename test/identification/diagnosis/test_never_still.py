@@ -86,6 +86,7 @@ def test_the_noise_is_what_the_best_model_leaves_and_so_a_weak_force_is_told_fro
     assert found.after.holdout_rmse == pytest.approx(np.radians(0.05), rel=0.1)
 
 
+@pytest.mark.long
 def test_a_threshold_of_a_state_that_no_sensor_shows_is_found(tmp_path: Path) -> None:
     """Two tanks: only the lower one's level is measured, and the upper one spills over half way into it."""
     rng, interval = np.random.default_rng(4), 4.0

@@ -109,6 +109,7 @@ def test_a_declared_average_of_readings_is_no_effect_of_the_valve() -> None:
         assert found.after.intervals[name].low < SHEET_VALVE[name] < found.after.intervals[name].high
 
 
+@pytest.mark.long
 def test_a_declared_bandwidth_of_the_sensor_is_no_effect_of_the_valve() -> None:
     recording = measure(
         SHEET_VALVE, {"sensor_bandwidth": {"cutoff_frequency": 500.0}}, train_profile(), Laboratory(), 7
@@ -142,6 +143,7 @@ def test_a_state_says_what_errors_cost_and_what_to_do() -> None:
     assert {"drift", "hum", "stroke_variation"} <= {entry["error"] for entry in entries["recording"]}
 
 
+@pytest.mark.long
 def test_no_state_is_told_beside_a_model_that_lacks_something() -> None:
     trace = measured(Laboratory(), "train", coulomb_friction={"force": 0.3})
     state = state_of_recording(trace, DECLARED)

@@ -45,7 +45,7 @@ def diagnosed(effects: Effects, seed: int, recorder: Recorder = Recorder()) -> D
         pytest.param(Recorder(colour=0.7), id="coloured", marks=pytest.mark.long),
         pytest.param(Recorder(quantisation=5e-6), id="coarse", marks=pytest.mark.long),
         pytest.param(Recorder(command_jitter=50e-6), id="jitter", marks=pytest.mark.long),
-        pytest.param(Recorder(clock_offset=60e-6, with_current=True), id="clock and current"),
+        pytest.param(Recorder(clock_offset=60e-6, with_current=True), id="clock and current", marks=pytest.mark.long),
     ],
 )
 def test_nothing_is_claimed_where_nothing_is_missing(recorder: Recorder) -> None:
@@ -96,18 +96,6 @@ def test_a_coil_that_cools_too_slowly_to_be_seen_is_named() -> None:
     cooling = diagnosis.after.intervals["coil_heating.cooling_time_constant"]
     assert cooling.low < 60.0 < cooling.high == CATALOGUE["coil_heating"].parameter("cooling_time_constant").upper
     assert cooling.unbounded is Unbounded.MAY_BE_INFINITE
-
-
-@pytest.mark.long
-@pytest.mark.xfail(
-    strict=True,
-    raises=AssertionError,
-    reason="a squeeze film, at odds of 1 to 14 for 1 to 20, is in the class since errors of the recording are",
-)
-def test_stiction_too_small_to_be_told_from_friction_is_no_sure_friction() -> None:
-    verdict = diagnosed({"stiction": {"force": 0.0042, "breakaway": 0.0056, "stribeck_velocity": 0.03}}, 62).verdict
-    (name,) = verdict.effects
-    assert {name, *verdict.confusable_with[name]} == {"coulomb_friction", "stiction"}
 
 
 @pytest.mark.long
@@ -183,6 +171,7 @@ def test_dampings_that_an_effect_can_take_over_have_intervals_that_say_so() -> N
         assert interval.high - interval.low > 0.3
 
 
+@pytest.mark.long
 @pytest.mark.xfail(
     strict=True,
     raises=AssertionError,

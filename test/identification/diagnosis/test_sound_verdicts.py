@@ -9,12 +9,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
-from plants.recording import Recorder, train_profile
+from plants.recording import train_profile
 
 from benchmarks.campaign.hard import CAMPAIGN, Case, cases
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose, diagnose_plant
-from valve_sim.identification.estimation.budget import Budget
 from valve_sim.identification.plants.protocol import Array, Channel, EffectChoice, ForceMap, Nuisance, Role
 from valve_sim.identification.reporting.diagnosis_json import to_json
 from valve_sim.identification.reporting.summary import recording_advice, summarise
@@ -22,8 +21,6 @@ from valve_sim.model import Drive, Parameter
 from valve_sim.model.effects import basis
 from valve_sim.traces import Signal, read_trace
 from valve_sim.traces.synthetic import Sensor, record
-
-from .test_run import DECLARED, measured
 
 BAGS = Path(__file__).parents[3] / "bags"
 
@@ -46,16 +43,17 @@ def assert_sound(found: Diagnosis) -> None:
         assert found.unexplained.force == pytest.approx(curve)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "bag",
     [
-        "live.mcap",
         "eight_strokes.mcap",
+        "live.mcap",
         pytest.param(
             "one_opening.mcap",
             marks=pytest.mark.xfail(strict=True, raises=AssertionError, reason="one opening is said to lack nothing"),
         ),
-        pytest.param("friction", marks=pytest.mark.long),
+        "friction",
     ],
 )
 def test_of_the_shipped_bags_only_the_one_with_friction_gets_a_name(bag: str) -> None:
@@ -69,13 +67,10 @@ def test_of_the_shipped_bags_only_the_one_with_friction_gets_a_name(bag: str) ->
 SLICE = ("noise-free, own", "noise-free, plant, with current", "coarse, no noise")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "case",
-    [
-        pytest.param(case, id=case.kind, marks=() if case.kind == SLICE[0] else pytest.mark.long)
-        for case in cases()
-        if case.kind in SLICE and case.seed == 1
-    ],
+    [pytest.param(case, id=case.kind) for case in cases() if case.kind in SLICE and case.seed == 1],
 )
 def test_a_slice_of_the_hard_recordings(case: Case) -> None:
     found = diagnose(case.make(case.seed), [], case.declared)
@@ -94,6 +89,7 @@ def test_strokes_are_held_out_of_bags_of_two_strokes_each() -> None:
     assert found.after.holdout_rmse == pytest.approx(1e-6, rel=0.1)
 
 
+@pytest.mark.long
 def test_a_sample_at_the_command_of_an_instant_coil_makes_no_effect() -> None:
     valve = default_valve().with_values(coil_time_constant=0.0)
     profile = train_profile()
@@ -101,28 +97,6 @@ def test_a_sample_at_the_command_of_an_instant_coil_makes_no_effect() -> None:
     times = made.coil_current.times + 1e-9 * (np.arange(len(made.times)) % 2)
     found = diagnose([replace(made, coil_current=Signal(times, made.coil_current.values))], [], valve)
     assert (found.verdict.kind, found.verdict.effects) == ("none", ())
-
-
-@pytest.mark.long
-@pytest.mark.xfail(
-    strict=True,
-    raises=AssertionError,
-    reason="beside something unnamed no name is claimed: six of 75 controls would be named wrongly",
-)
-def test_names_beside_a_remainder_are_what_is_written_and_the_remainder_is_beside_them() -> None:
-    trace = measured({"coulomb_friction": {"force": 0.3}}, train_profile(), Recorder(), 3)
-    # A scale's error of 2 µm, every 20 µm: finer than a map's knots, so that neither effect nor map explains it.
-    wave = 2e-6 * np.sin(2.0 * np.pi * trace.pilot_position / 2e-5)
-    trace = replace(trace, pilot_position=trace.pilot_position + wave)
-    found = diagnose([trace], [], DECLARED, budget=Budget(40_000.0))
-    assert found.verdict.kind == "effects"
-    assert {"coulomb_friction", "asymmetric_friction"} & set(found.verdict.effects)
-    assert_sound(found)
-    assert not found.after.adequacy.is_white
-    assert found.unexplained is not None
-    assert np.sqrt(np.mean(np.square(found.unexplained.force))) < 2.0
-    assert "What is left, no" in summarise(found)
-    assert found.after.holdout_rmse < 0.5 * found.before.holdout_rmse
 
 
 # -- a user's plants ---------------------------------------------------------------------------------------------------
@@ -182,7 +156,7 @@ def made(kind: str, unit: str, extra: Array | float = 0.0, slope: float = 0.0, *
 
 @pytest.mark.parametrize(
     ("kind", "unit", "shown", "scale", "key"),
-    [("current", "A", "mA", 1e3, "rmse_ma"), ("force", "N", "N", 1.0, "rmse"), ("temperature", "K", "K", 1.0, "rmse")],
+    [("current", "A", "mA", 1e3, "rmse_ma"), ("force", "N", "N", 1.0, "rmse")],
 )
 def test_a_user_s_only_channel_counts_whatever_its_kind(
     kind: str, unit: str, shown: str, scale: float, key: str
@@ -198,9 +172,10 @@ def test_a_user_s_only_channel_counts_whatever_its_kind(
     assert report["after"][key]["train"] == pytest.approx(scale * found.after.train_rmse)
 
 
-@pytest.mark.parametrize("role", ["response", "actuation"])
-@pytest.mark.parametrize("quiet", [True, False], ids=["rests", "never rests"])
-@pytest.mark.parametrize(("recordings", "groups"), [(1, 8), (4, 2), (8, 1)])
+@pytest.mark.parametrize(
+    ("recordings", "groups", "role", "quiet"),
+    [(1, 8, "response", True), (4, 2, "response", False), (8, 1, "actuation", False)],
+)
 def test_a_user_s_strokes_count_however_they_were_recorded(
     recordings: int, groups: int, role: Role, *, quiet: bool
 ) -> None:

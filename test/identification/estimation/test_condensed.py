@@ -13,11 +13,9 @@ from plants.recording import Recorder
 from identification.plants.test_gas import trace_of
 from identification.recordings import FINE, recorded
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.estimation.descent import SolverOptions
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.rows import CondensedRows, Rows
 from valve_sim.identification.estimation.solver import fit
-from valve_sim.identification.plants.protocol import strokes_of_plant
 from valve_sim.identification.plants.valve import ValvePlant
 
 BOTH = ("pilot_damping", "main_damping")
@@ -58,13 +56,6 @@ def test_a_fit_to_few_rows_ends_where_one_to_all_samples_does(problem: Problem) 
     np.testing.assert_allclose(few.jacobian, every.jacobian, atol=1e-3 * float(np.max(np.abs(every.jacobian))))
 
 
-def test_what_settles_is_read_at_the_middle_of_short_blocks() -> None:
-    """A slow sensor still moves where the plunger has come to rest: 800 Hz, 0.2 ms."""
-    problem = problem_of(FINE)
-    values = {"sensor_bandwidth.cutoff_frequency": 800.0}
-    assert chi2(problem.condensed().rows, values) == pytest.approx(chi2(problem.every_row, values), rel=1e-5)
-
-
 def test_a_plunger_that_creeps_is_read_at_more_samples() -> None:
     trace = recorded(FINE)
     late = np.maximum(trace.times - trace.drive.times[-1] - 8e-3, 0.0)
@@ -73,33 +64,8 @@ def test_a_plunger_that_creeps_is_read_at_more_samples() -> None:
     assert len(moving.rows.residuals({})) > len(still.rows.residuals({})) + 100
 
 
-def test_a_loss_that_counts_far_residuals_less_is_of_each_sample() -> None:
-    problem = problem_of(FINE)
-    robust = SolverOptions((100.0,), most=0)
-    every, few = (fit(one, BOTH, {}, effort=robust) for one in (problem, problem.condensed()))
-    assert few.values == every.values
-
-
 @pytest.mark.long
 def test_a_valve_with_gas_is_fitted_to_every_sample() -> None:
     valve = gas_valve()
     problem = Problem(ValvePlant([trace_of(valve)], valve)).condensed()
     assert problem.rows is problem.every_row
-
-
-def test_other_noise_is_that_of_the_rows_too() -> None:
-    problem = problem_of(FINE).condensed()
-    before = chi2(problem.rows, {})
-    noise = problem.noises["position"]
-    doubled = replace(noise, sigma=2.0 * noise.sigma, innovation=2.0 * noise.innovation)
-    assert chi2(problem.with_noises({"position": doubled}).rows, {}) == pytest.approx(before / 4.0, rel=1e-9)
-    assert problem.with_every_row().rows.constant == 0.0
-
-
-def test_work_on_rows_is_counted_as_that_on_samples() -> None:
-    problem = problem_of(FINE)
-    problem.residuals({})
-    by_samples = problem.budget.spent
-    assert by_samples == len(strokes_of_plant(problem.plant))
-    problem.condensed().rows.residuals({})
-    assert problem.budget.spent == 2.0 * by_samples

@@ -95,6 +95,7 @@ def test_a_fit_by_sums_ends_where_one_by_rows_does(
     assert by_sums.jacobian.shape == by_rows.jacobian.shape
 
 
+@pytest.mark.long
 def test_memory_holds_no_column_of_a_tolerance(trace: Trace, monkeypatch: pytest.MonkeyPatch) -> None:
     """Residuals come in pieces, so that twelve tolerances take no more memory than what a piece of them does."""
     monkeypatch.setattr(valve_pieces, "SAMPLES", USUAL_PIECES)

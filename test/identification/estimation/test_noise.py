@@ -12,11 +12,9 @@ from plants.recording import Recorder
 from identification.recordings import FINE, recorded, still
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.estimation.noise import (
-    Noise,
     estimate_noise,
     quantisation_step,
     quiet_windows,
-    still_runs,
 )
 from valve_sim.identification.plants.protocol import Channel
 from valve_sim.identification.plants.valve import ValvePlant
@@ -109,13 +107,6 @@ def test_hum_that_is_estimated_along_is_no_noise(colour: float) -> None:
     assert estimate_noise(rests(values + hum)).sigma > 1.05 * beside.sigma
 
 
-def test_each_sensor_hums_in_a_phase_of_its_own() -> None:
-    values = [coloured(1e-6, 0.0, len(RESTS), seed) for seed in (1, 2)]
-    hums = [3e-6 * np.sin(2.0 * np.pi * 50.0 * RESTS + phase) for phase in (0.4, 2.9)]
-    channels = [rests(own + hum, name)[0] for own, hum, name in zip(values, hums, ("pilot", "main"), strict=True)]
-    assert estimate_noise(channels, may_hum=True).sigma == pytest.approx(1e-6, rel=0.03)
-
-
 def test_the_bias_of_a_long_recording_is_found_in_a_part_of_it() -> None:
     values = coloured(1e-6, 0.9, 40_000)
     whole = estimate_noise([replace(still(values), drifts=True)])
@@ -146,10 +137,6 @@ def test_the_quantisation_step_is_found(step: float) -> None:
     assert quantisation_step(values) == pytest.approx(step, rel=1e-6)
 
 
-def test_what_is_not_on_a_grid_has_no_step() -> None:
-    assert quantisation_step(coloured(1e-6, 0.0)) == 0.0
-
-
 def test_a_coarse_sensor_is_no_better_than_its_step() -> None:
     trace = recorded(Recorder(quantisation=5e-6))
     channels = ValvePlant([trace], default_valve().exact()).channels
@@ -172,14 +159,3 @@ def test_a_recording_shows_its_noise_at_rest() -> None:
 def test_a_noise_free_signal_still_has_a_level() -> None:
     noise = estimate_noise([still(np.full(500, 1e-3))])
     assert 0.0 < noise.sigma < 1e-12
-
-
-def test_whitening_leaves_the_input_alone() -> None:
-    values = np.array([1.0, 2.0, 3.0])
-    white = Noise(1.0, 0.5, (0.5,), 0.0, 3).whiten(values)
-    np.testing.assert_allclose(white, [2.0, 3.0, 4.0])
-    np.testing.assert_array_equal(values, [1.0, 2.0, 3.0])
-
-
-def test_runs_of_equal_readings_are_counted() -> None:
-    np.testing.assert_array_equal(still_runs(np.array([1.0, 1.0, 2.0, 3.0, 3.0, 3.0])), [2, 2, 1, 3, 3, 3])

@@ -47,11 +47,6 @@ def test_an_interrupt_leaves_the_rest_undone_and_does_not_wait_for_what_never_re
     assert set(begun) <= {0, 1}
 
 
-def test_what_the_work_raises_is_raised() -> None:
-    with pytest.raises(ZeroDivisionError):
-        run_parallel(lambda item: 1 // item, [1, 0])
-
-
 def test_a_limit_holds_for_the_work_that_it_is_for() -> None:
     with threads_limited_to(1):
         assert len(set(run_parallel(lambda item: threading.get_ident(), range(4)))) == 1
@@ -80,13 +75,3 @@ def test_a_result_that_several_threads_ask_for_is_computed_once() -> None:
     for thread in threads:
         thread.join()
     assert (results, computed) == ([9, 9, 9, 9], [3])
-
-
-def test_what_fails_fails_for_each_who_asks() -> None:
-    def work(key: int) -> int:
-        raise ValueError(f"no {key}")
-
-    memo = Memo(work)
-    for _ in range(2):
-        with pytest.raises(ValueError, match="no 5"):
-            memo(5)

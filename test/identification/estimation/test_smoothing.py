@@ -63,6 +63,7 @@ def test_a_known_curve_comes_back_from_noisy_data(truth: np.ndarray) -> None:
     assert np.mean(covered) > 0.85
 
 
+@pytest.mark.long
 def test_a_band_holds_a_narrow_bump() -> None:
     """Smoothing bends a narrow bump of twice the noise; how much is as uncertain as the weights."""
     bump = 2.0 * NOISE * np.exp(-(((PLACES - 0.4) / 0.05) ** 2))

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from valve_sim.files.parameter_files import default_valve, load_valve, save_valve
-from valve_sim.files.recording_map import MapError, load_force_map
 from valve_sim.files.tables import TableError
-from valve_sim.identification.estimation.static_force import BeginsLate, EndsEarly, StartOfMotion, fit_static_force
+from valve_sim.identification.estimation.static_force import BeginsLate, StartOfMotion, fit_static_force
 from valve_sim.identification.reporting.findings import remarks
 from valve_sim.identification.reporting.identification import static_force_json
 from valve_sim.model import Tolerances, ValveError
@@ -115,20 +114,8 @@ def test_a_table_that_begins_away_from_the_seat_is_said_to_extrapolate(tmp_path:
     assert any("begins at 200 µm" in sentence for sentence in remarks(result.findings))
 
 
-def test_a_table_that_ends_before_the_stroke_is_said_to_extrapolate(tmp_path: Path):
-    result = fit_static_force(table(tmp_path, end=1.0e-3), default_valve())
-    assert EndsEarly(1.0e-3, default_valve().parameters.stroke) in result.findings
-    assert any("ends at 1000 µm of 1230 µm stroke" in sentence for sentence in remarks(result.findings))
-
-
 def test_a_whole_table_needs_no_warning_but_on_the_start(tmp_path: Path):
     assert [type(finding) for finding in fit_static_force(table(tmp_path), default_valve()).findings] == [StartOfMotion]
-
-
-def test_degree_two_leaves_the_cubic_term_out(tmp_path: Path):
-    found = fit_static_force(table(tmp_path), default_valve(), degree=2)
-    assert found.valve.parameters.attraction_polynomial[3] == 0.0
-    assert found.rmse > 5 * NOISE
 
 
 @pytest.mark.parametrize(
@@ -168,45 +155,6 @@ def mapped(folder: Path, text: str = LOAD_CELL, words: str = LOAD_CELL_MAP) -> t
     path.write_text(text)
     own.write_text(words)
     return path, own
-
-
-def test_a_map_gives_columns_and_units(tmp_path: Path):
-    path, own = mapped(tmp_path)
-    found = fit_static_force(path, default_valve(), load_force_map(own))
-    np.testing.assert_allclose(found.displacement, 1e-4 * np.arange(8), atol=1e-15)
-    np.testing.assert_allclose(found.force, 0.1 * 9.80665 * np.arange(8), atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        ("force: Kraft\n", "names no displacement; add displacement: {column: ..., unit: m}"),
-        (LOAD_CELL_MAP.replace("kgf", "bar"), "force.unit: found 'bar', expected one of N, mN, kN, kgf, lbf"),
-        (LOAD_CELL_MAP.replace("force", "forse"), "forse: unknown key; did you mean force?"),
-        (LOAD_CELL_MAP.replace("{column: Kraft", "{topic: /cell"), "a table has columns"),
-        ("- Weg\n", "expected displacement: and force:"),
-    ],
-)
-def test_a_wrong_map_of_a_table_is_refused(tmp_path: Path, words: str, expected: str):
-    _, own = mapped(tmp_path, words=words)
-    with pytest.raises(MapError) as refusal:
-        load_force_map(own)
-    assert str(refusal.value).startswith(str(own))
-    assert expected in str(refusal.value)
-
-
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        (LOAD_CELL.replace("Weg", "Strecke"), "has no column Weg; it has Zeit, Strecke, Kraft"),
-        (LOAD_CELL.replace("1200\n", "\n"), "line 6: force: holds no finite number"),
-    ],
-)
-def test_a_table_that_its_map_does_not_fit_is_refused(tmp_path: Path, text: str, expected: str):
-    path, own = mapped(tmp_path, text)
-    with pytest.raises(TableError, match=expected) as refusal:
-        fit_static_force(path, default_valve(), load_force_map(own))
-    assert str(refusal.value).startswith(str(path))
 
 
 @pytest.mark.parametrize(

@@ -71,6 +71,7 @@ def test_declared_values_that_are_off_leave_the_dampings_within_their_intervals(
     assert identified.rmse_before > 5e-6
 
 
+@pytest.mark.long
 def test_taken_as_exact_they_make_a_model_that_lacks_something(training, identified):
     exact = identify([training], declared_valve(exact=True))
     assert [finding for finding in exact.findings if isinstance(finding, LacksSomething)]
@@ -157,6 +158,7 @@ def test_held_out_strokes_are_predicted_within_what_training_leaves_open(identif
     assert 0.93 < np.mean(off < 1.96 * found.bands[0]) < 0.97
 
 
+@pytest.mark.long
 def test_a_replay_passes_within_the_tolerances_and_fails_without(training, identified):
     damped = declared_valve(exact=False).with_values(**{name: identified.intervals[name].value for name in DAMPED})
     assert validate([training], damped).passed

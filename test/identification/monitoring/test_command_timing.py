@@ -35,6 +35,7 @@ from valve_sim.identification.reporting.monitoring_words import finding_words, r
 EXACT_VALVE = default_valve().exact()
 
 HEALTHY = {"pilot_damping": 1.3, "main_damping": 3.5}
+COMMISSIONING = 10
 QUIET, BUSY = 0.05e-3, 5e-3
 """s: by how much commands come in here sooner or later than the valve obeys them."""
 STICTION = {"stiction": {"force": 0.5, "breakaway": 0.0, "stribeck_velocity": 0.02}}
@@ -44,9 +45,9 @@ def watched(
     scatter: float, count: int, effects: Mapping[str, Mapping[str, float]] | None = None, commissioned: float = QUIET
 ) -> tuple[Monitor, list[StrokeReport]]:
     """A monitor commissioned with one scatter of commands, and its reports of `count` strokes with another."""
-    monitor = Monitor(EXACT_VALVE, refit=False)
-    valve = LiveValve(11, HEALTHY, rate=2e3, levels=(9.0, 12.0), jitter=commissioned)
-    for _ in range(21):
+    monitor = Monitor(EXACT_VALVE, MonitorSettings(commissioning_strokes=COMMISSIONING), refit=False)
+    valve = LiveValve(11, HEALTHY, rate=1e3, levels=(9.0, 12.0), jitter=commissioned)
+    for _ in range(COMMISSIONING + 1):
         list(feed(monitor, valve.stroke()))
     valve.jitter = scatter
     return monitor, [report for _ in range(count) for report in feed(monitor, valve.stroke(effects))]
@@ -70,13 +71,13 @@ def test_on_a_quiet_machine_delays_are_judged_and_a_fault_is_found_as_before() -
     assert {"opening delay", "closing delay"} <= reports[-1].scores.keys()
     assert monitor.stroke_monitor.alarms == 0
     monitor, reports = watched(QUIET, 6, STICTION)
-    assert next(report for report in reports if report.alarm).record.number < 25
+    assert next(report for report in reports if report.alarm).record.number < COMMISSIONING + 5
 
 
 @pytest.mark.long
 def test_what_changes_the_shape_of_a_stroke_is_found_on_a_busy_machine_too() -> None:
     monitor, reports = watched(BUSY, 12, STICTION)
-    assert next(report for report in reports if report.alarm).record.number < 26
+    assert next(report for report in reports if report.alarm).record.number < COMMISSIONING + 6
     finding = isolate_fault(monitor.stroke_monitor.evidence(), monitor.stroke_monitor.with_present_scatter())
     assert {"coulomb_friction", "stiction", "asymmetric_friction"} & set(finding.verdict.effects), finding
     assert "0.5" in finding_words(finding) or "0.49" in finding_words(finding)

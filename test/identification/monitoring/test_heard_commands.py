@@ -64,7 +64,7 @@ class Busy:
         return 0.0 if index < 0 else float(made.volts[index])
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_a_voltage_that_is_heard_leaves_no_scatter_of_commands(seed: int) -> None:
     valve = Busy(seed, hears_coil=True)
     reports = valve.strokes(20)
@@ -74,12 +74,14 @@ def test_a_voltage_that_is_heard_leaves_no_scatter_of_commands(seed: int) -> Non
     assert reports[-1].rms == pytest.approx(1e-6, rel=0.3)
 
 
+@pytest.mark.long
 def test_without_it_delays_are_not_judged_and_voltages_at_samples_alone_are_better_than_nothing() -> None:
     deaf = Busy(1, hears_coil=False).strokes(20)[-1].command_scatter
     sampled = Busy(1, hears_coil=True, has_stamped_steps=False).strokes(20)[-1].command_scatter
     assert sampled < 0.5 * deaf
 
 
+@pytest.mark.long
 def test_what_a_busy_machine_hid_is_found() -> None:
     fault = {"coulomb_friction": {"force": 0.02}}
     for hears_coil in (True, False):

@@ -14,6 +14,8 @@ from valve_sim.identification.monitoring.fault_isolation import isolate_fault
 from valve_sim.identification.monitoring.findings import StrokeState
 from valve_sim.identification.monitoring.scores import score_stroke
 
+pytestmark = pytest.mark.long
+
 EXACT_VALVE = default_valve().exact()
 HEALTHY = {"pilot_damping": 1.3, "main_damping": 3.5}
 COMMISSIONING = 20

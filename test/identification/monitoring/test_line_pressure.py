@@ -51,14 +51,6 @@ def test_the_model_stands_in_for_a_sensor_that_is_missing_or_silent() -> None:
     assert start(line, LONGEST + 0.1 + COMMAND) == 3e5
 
 
-def test_a_stroke_keeps_the_pressure_of_its_beginning() -> None:
-    line = LinePressure()
-    line.hear(0.0, 5e6)
-    line.keep(COMMAND)
-    line.hear(0.1, 9e6)
-    assert start(line, COMMAND + 0.1) == 5e6
-
-
 @pytest.mark.parametrize("sample", [(math.nan, 6e6), (0.2, math.nan), (0.2, math.inf), (0.1, 6e6), (-1.0, 6e6)])
 def test_what_cannot_be_used_is_left_out(sample: tuple[float, float]) -> None:
     line = LinePressure()
@@ -101,14 +93,6 @@ def test_a_stroke_begins_at_the_measured_pressure_and_the_model_then_explains_it
         assert np.max(np.abs(shown - stroke.trace.pilot_position)) < 200e-6
         other = ValvePlant([replace(stroke.trace, outlet_start=None)], TANK.exact()).predict({})[0]
         assert np.max(np.abs(other - stroke.trace.pilot_position)) > 500e-6
-
-
-def test_without_a_sensor_a_stroke_begins_at_the_model_s_own_pressure() -> None:
-    assert TANK.gas is not None
-    first, second = strokes_of(with_gas(outlet_pressure=25e6), (0.35, 0.65), is_heard=False)
-    assert first.trace.outlet_start == pytest.approx(TANK.gas.outlet_pressure, rel=1e-6)
-    # The tank's pressure is in both pipes since the first stroke.
-    assert second.trace.outlet_start == pytest.approx(TANK.gas.inlet_pressure, rel=0.02)
 
 
 def test_the_pressures_at_both_ends_are_known_to_the_model_and_to_the_stroke() -> None:
@@ -179,13 +163,3 @@ def test_with_gas_a_stroke_that_began_before_the_first_sample_is_not_compared() 
         segmenter.measure(index * STEP, plant.advance(index * STEP).pilot_position)
     (stroke,) = segmenter.take_finished()
     assert stroke.remark is Unusable.PRESSURE_UNKNOWN
-
-
-def test_a_pressure_that_no_end_can_have_or_that_comes_late_is_left_out() -> None:
-    line = LinePressure()
-    line.keep(COMMAND)
-    for time, pressure in ((0.1, 5e6), (0.2, math.nan), (0.3, -1.0), (0.05, 6e6), (0.4, 5.00001e6), (0.5, 7e6)):
-        line.hear_end("demand_pressure", time, pressure)
-    trace = line.before(STROKE, COMMAND)
-    assert trace.demand_pressure is not None and trace.inlet_pressure is None
-    assert list(zip(*trace.demand_pressure, strict=True)) == [(0.1, 5e6), (0.5, 7e6)]

@@ -69,17 +69,6 @@ def test_a_monitor_that_is_started_again_says_the_same(monitor: Monitor, tmp_pat
     assert list(tmp_path.rglob("*partial*")) == []
 
 
-def test_what_is_not_known_is_not_made_up(monitor: Monitor, tmp_path: Path) -> None:
-    kept = monitor.stroke_monitor.commissioning
-    assert kept is not None
-    path = tmp_path / "state.json"
-    save_commissioning(path, kept, EXACT_VALVE)
-    again = load_commissioning(path, EXACT_VALVE)
-    assert again is not None
-    assert all(math.isnan(stroke.arrival_spread) for stroke in again.strokes)
-    assert again.strokes[0].shifts == kept.strokes[0].shifts
-
-
 @pytest.mark.parametrize("damage", ["earlier", "cut", "digit", "schema", "valve", "text", "list"])
 def test_a_file_that_cannot_be_used_is_refused_in_one_line(monitor: Monitor, tmp_path: Path, damage: str) -> None:
     kept = monitor.stroke_monitor.commissioning
@@ -114,21 +103,6 @@ def test_a_file_that_cannot_be_used_is_refused_in_one_line(monitor: Monitor, tmp
     }
     assert says.get(damage, "damaged") in words
     assert "delete this one to commission anew" in words
-
-
-def test_a_file_from_before_the_tolerances_is_refused_with_the_reason_and_the_mend(
-    monitor: Monitor, tmp_path: Path
-) -> None:
-    kept = monitor.stroke_monitor.commissioning
-    assert kept is not None
-    path, now = tmp_path / "state.json", default_valve()
-    save_commissioning(path, kept, EXACT_VALVE)
-    with pytest.raises(ParameterError) as caught:
-        load_commissioning(path, now)
-    assert str(caught.value) == (
-        f"{path}: was commissioned with exact values, which now have tolerances (tolerances.pilot_mass: 0.00029, and 7 "
-        "more); name another file, or, while the valve is healthy, delete this one to commission anew"
-    )
 
 
 def test_what_is_asked_to_commission_anew_forgets(monitor: Monitor) -> None:

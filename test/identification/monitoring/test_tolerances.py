@@ -17,6 +17,8 @@ from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import Drive, Valve
 from valve_sim.traces import Trace
 
+pytestmark = pytest.mark.long
+
 TRUTH = {"pilot_damping": 1.3, "main_damping": 3.5, "spring_preload": 2.6, "stroke": 1.236e-3, "moving_mass": 0.1342}
 TOLERANCES = {"spring_preload": 0.076, "stroke": 4e-6, "moving_mass": 1.3e-4}
 

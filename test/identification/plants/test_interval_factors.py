@@ -16,7 +16,6 @@ from valve_sim.identification.estimation.structured_noise import structured_nois
 from valve_sim.identification.plants.protocol import Array, Direction
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import Drive
-from valve_sim.traces import Signal
 
 VALUES = {"main_damping": 4.0, "spring_preload": 2.5, "coil_time_constant": 1e-3, "clock_offset[0]": 0.0}
 
@@ -25,12 +24,6 @@ VALUES = {"main_damping": 4.0, "spring_preload": 2.5, "coil_time_constant": 1e-3
 def plant() -> ValvePlant:
     recording = record(DeclaredPlant({}, SHEET_VALVE), train_profile(), Recorder(with_current=True), 3)
     return ValvePlant([as_trace(recording, "x")], declared_valve(SHEET_VALVE))
-
-
-def test_a_run_whose_strokes_do_not_differ_is_the_plain_run(plant: ValvePlant) -> None:
-    plain = plant.predict({})
-    for one, other in zip(plain, plant.predict({own.name: 0.0 for own in plant.varying}), strict=True):
-        np.testing.assert_array_equal(one, other)
 
 
 def test_a_stroke_that_differs_changes_no_other(plant: ValvePlant) -> None:
@@ -116,20 +109,3 @@ def test_a_clock_that_runs_fast_makes_commands_later_and_later() -> None:
     dampings = {name: float(np.asarray(SHEET_VALVE[name])) for name in ("pilot_damping", "main_damping")}
     without, beside = _error(plant, dampings), _error(plant, {**dampings, "clock_rate[0]": 200e-6})
     assert np.max(np.abs(beside)) < 0.01 * np.max(np.abs(without))
-
-
-def test_where_the_voltage_is_measured_nothing_differs_by_the_commands_intervals() -> None:
-    trace = as_trace(record(DeclaredPlant({}, SHEET_VALVE), train_profile(), Recorder(), 3), "x")
-    volts = trace.drive.volts[np.searchsorted(trace.drive.times, trace.times, side="right") - 1]
-    volts[trace.times < trace.drive.times[0]] = 0.0
-    measured = replace(trace, coil_voltage=Signal(trace.times, volts))
-    assert ValvePlant([trace], declared_valve(SHEET_VALVE)).varying
-    assert not ValvePlant([measured], declared_valve(SHEET_VALVE)).varying
-
-
-def test_a_recording_of_one_stroke_has_no_mean_to_vary_about() -> None:
-    from plants.recording import single_opening
-
-    recording = record(DeclaredPlant({}, SHEET_VALVE), single_opening(), Recorder(), 3)
-    plant = ValvePlant([as_trace(recording, "x")], declared_valve(SHEET_VALVE))
-    assert [own.error for own in plant.varying] == ["supply"]

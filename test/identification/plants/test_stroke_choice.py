@@ -6,16 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plants.recording import Profile
 
-from identification.recordings import recorded
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.diagnosis.run import diagnose
 from valve_sim.identification.plants import stroke_choice
 from valve_sim.identification.plants.stroke_choice import AT_REST, FEWEST, MANY, choose_strokes
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.reporting.diagnosis_json import to_json
-from valve_sim.identification.reporting.text import diagnosis_text
 from valve_sim.model import Drive
 from valve_sim.traces import Signal, Trace, stroke_numbers
 
@@ -82,22 +77,3 @@ def test_of_several_recordings_a_few_strokes_each() -> None:
     assert len(kept) == 3
     assert len(choice.chosen) >= FEWEST
     assert {recording for recording, _ in choice.chosen} == {0, 1, 2}
-
-
-@pytest.mark.long
-def test_the_missing_effect_is_found_in_some_of_many_strokes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stroke_choice, "MANY", 10_000)
-    monkeypatch.setattr(stroke_choice, "ENOUGH", 1)
-    monkeypatch.setattr(stroke_choice, "FEWEST", 8)
-    drive = still([(9.0, 0.04), (10.0, 0.04)] * 7).drive
-    profile = Profile(drive.times, drive.volts, 1.12)
-    trace = recorded(profile=profile, effects={"coulomb_friction": {"force": 0.1}})
-    found = diagnose([trace], [], default_valve().exact())
-    assert found.choice is not None
-    assert found.choice.recorded == 14
-    assert len(found.choice.chosen) == 8
-    assert found.verdict.effects == ("coulomb_friction",)
-    interval = found.after.intervals["coulomb_friction.force"]
-    assert interval.value == pytest.approx(0.1, abs=4.0 * interval.stderr)
-    assert "8 of 14 strokes were examined, some of each of 2 kinds of command, spread" in diagnosis_text(found)
-    assert to_json(found)["strokes"]["chosen"][0] == [0, 0]

@@ -45,6 +45,7 @@ SENTENCES: list[tuple[Finding | StaticFinding, list[str]]] = [
     (StartOfMotion(None, NEVER, None), ["without a constant term", "never opens at 9 V"]),
     (StartOfMotion(Interval(0.1, 0.1, -0.1, 0.3), OPENS, NEVER), ["cannot be told from 0", "-0.1 to 0.3 N", "9.90 ms"]),
     (StartOfMotion(Interval(3.0, 0.1, 2.8, 3.2), HALF_WAY, NEVER), ["a0 = 3 N starts", "5.30 ms and never reaches"]),
+    (StartOfMotion(None, OPENS._replace(has_one_plunger=True), None), ["the plunger leaves its seat at 5.30 ms"]),
 ]
 
 

@@ -16,13 +16,11 @@ from valve_sim.identification.monitoring.findings import (
     Occasion,
     OpenedPartly,
     Remark,
-    StrokeState,
     TimingTooUncertain,
-    Unusable,
     WaitsForPressure,
 )
 from valve_sim.identification.reporting.monitoring import finding_json
-from valve_sim.identification.reporting.monitoring_words import finding_words, remark_words, state_words, told_finding
+from valve_sim.identification.reporting.monitoring_words import finding_words, remark_words, told_finding
 
 SENTENCES: list[tuple[Remark, str]] = [
     (DidNotOpen(20e-6), "the valve did not open: the pilot plunger moved 0.020 mm only"),
@@ -40,11 +38,6 @@ SENTENCES: list[tuple[Remark, str]] = [
 @pytest.mark.parametrize(("remark", "words"), SENTENCES, ids=lambda value: type(value).__name__)
 def test_a_remark_has_words_with_its_numbers(remark: Remark, words: str) -> None:
     assert remark_words(remark) == words
-
-
-def test_every_reason_and_every_state_has_words_of_its_own() -> None:
-    assert len({remark_words(reason) for reason in Unusable}) == len(Unusable)
-    assert len({state_words(state) for state in StrokeState}) == len(StrokeState)
 
 
 def found(

@@ -59,7 +59,8 @@ def plant_of(switch: Parameter, off_by: float, seed: int) -> LinearPlant:
     return LinearPlant(measured(seed) + acting, shown, effects=effects, nuisances=[DRIFT])
 
 
-@pytest.mark.parametrize("kind", ["two-sided", *(pytest.param(kind, marks=pytest.mark.long) for kind in [*KINDS][1:])])
+@pytest.mark.long
+@pytest.mark.parametrize("kind", KINDS)
 def test_at_the_stated_limit_an_effect_is_named_in_half_of_recordings(kind: str) -> None:
     """35 to 65 % of recordings of which each states its own limit before anything acts."""
     switch, named, at_twice = KINDS[kind], [], []

@@ -142,6 +142,7 @@ def test_of_a_valve_no_posterior_is_wider_than_its_prior() -> None:
         assert np.sqrt(found.covariance[index, index]) <= own.sigma * (1.0 + 1e-6)
 
 
+@pytest.mark.long
 def test_a_declared_effect_of_no_size_changes_nothing() -> None:
     few = ["quadratic_drag", "drive_gain", "coulomb_friction"]
     trace = recorded(Recorder(sample_rate=5e3), effects={"quadratic_drag": {"coefficient": 1.0}})

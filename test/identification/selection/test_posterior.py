@@ -18,7 +18,6 @@ from valve_sim.identification.selection.posterior import (
     Class,
     Decision,
     Evidence,
-    Posterior,
     Rivals,
     Set,
     class_of,
@@ -79,11 +78,6 @@ def test_sets_of_one_size_are_equally_probable_and_beside_the_unnamed_every_size
     assert shares == pytest.approx([0.5 * (1.0 - FORM_IS_RIGHT) / 9.0] * 9)
 
 
-def test_without_rivals_nothing_is_all_there_can_be() -> None:
-    none = Rivals(frozenset(), frozenset())
-    assert none.log_prior(())[0] == pytest.approx(math.log(FORM_IS_RIGHT))
-
-
 # -- the posterior -----------------------------------------------------------------------------------------------------
 
 SOME = {"": 0.0, "a": 6.0, "b": 4.5, "ab": 7.0, "c": -2.0}
@@ -115,11 +109,6 @@ def test_a_constant_of_the_data_changes_nothing_however_large() -> None:
     for names, share in near.shares.items():
         assert far.shares[names] == pytest.approx(share, rel=1e-6)
     assert far.curves == pytest.approx(near.curves, rel=1e-6)
-
-
-def test_curves_share_one_prior_however_many_there_are() -> None:
-    one, three = (posterior_of(MANY, table(SOME), [20.0] * count) for count in (1, 3))
-    assert math.fsum(three.curves) == pytest.approx(math.fsum(one.curves))
 
 
 def test_held_out_odds_raise_the_unnamed_of_their_set_alone() -> None:
@@ -191,10 +180,6 @@ def test_a_class_of_too_many_names_is_no_answer() -> None:
     assert not Class((), {}, 1.0).is_answer
 
 
-def test_the_class_of_nothing_is_nothing() -> None:
-    assert class_of({(): 0.4, ("a",): 0.3, ("b",): 0.3}, ()) == ((), {}, 0.4)
-
-
 def test_of_equally_probable_sets_the_smallest_leads() -> None:
     weights = {("b",): 0.3, ("a", "b"): 0.3, ("a",): 0.3, ("c",): 0.9}
     assert leader_of(weights, [("a", "b"), ("b",), ("a",)]) == ("a",)
@@ -246,7 +231,3 @@ def test_what_has_no_name_is_unknown_whatever_leads_beside_it() -> None:
 def test_a_curve_is_unnamed_as_well() -> None:
     assert decide(posterior_of(MANY, table({"": 0.0}), [30.0])).kind == "unknown"
     assert decide(posterior_of(MANY, table({"": 0.0}), [-3.0])).kind == "none"
-
-
-def test_of_no_table_at_all_there_are_no_probabilities_but_given_nothing() -> None:
-    assert Posterior({(): posterior_of(MANY, table({"": 0.0})).shares[()]}).inclusion() == {}

@@ -25,7 +25,3 @@ def test_all_effects_start_where_together_they_make_nothing_much_worse(best: flo
     assert start is not None
     assert start["mass"] == 2.0
     assert 0.0 < start["a.size"] + start["b.size"] <= 3.0 * best
-
-
-def test_there_may_be_no_such_start() -> None:
-    assert all_near_off(lambda values: math.inf if "a.size" in values else 1.0, [effect("a")], {}) is None

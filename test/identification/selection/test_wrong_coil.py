@@ -35,6 +35,7 @@ def named(found: Verdict) -> set[str]:
     return {*found.effects, *(other for others in found.confusable_with.values() for other in others)}
 
 
+@pytest.mark.long
 def test_a_coil_that_is_later_is_a_lag_and_one_that_is_earlier_has_a_wrong_value() -> None:
     """A larger time constant is a lag, and bears its name; no lag is negative."""
     later, earlier = verdict(8.0), verdict(-8.0)

@@ -13,7 +13,7 @@ from valve_sim.identification.diagnosis.run import diagnose
 from valve_sim.identification.reporting.validation import validation_json, validation_junit, validation_text
 from valve_sim.identification.validation.replay import Validation, validate
 from valve_sim.model import EXACT, Tolerances, ValveError
-from valve_sim.traces import Trace
+from valve_sim.traces import Trace, events_from_sensors
 
 EXACT_VALVE = default_valve().exact()
 
@@ -114,6 +114,13 @@ def test_arrivals_agree_with_the_model_within_their_error(good: Validation):
     assert kinds == {"pilot_reaches_main", "reaches_stop", "main_seats", "reaches_seat"}
     deviations = [(arrival.measured - arrival.model) / arrival.stderr for arrival in arrivals]
     assert np.sqrt(np.mean(np.square(deviations))) < 2.0
+
+
+def test_an_arrival_is_measured_from_the_data_alone_and_so_is_one_number_whatever_the_valve(trace: Trace):
+    seen = [event.after_command for stroke in events_from_sensors(trace, 0.26e-3) for event in stroke.events]
+    for valve in (EXACT_VALVE, EXACT_VALVE.with_values(main_damping=5.0)):
+        strokes = validate([trace], valve).replays[0].strokes
+        assert [arrival.measured for stroke in strokes for arrival in stroke.arrivals] == seen
 
 
 def test_tolerance_decides(trace: Trace):

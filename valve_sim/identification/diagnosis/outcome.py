@@ -46,7 +46,7 @@ class Worth(NamedTuple):
 
 @dataclass(frozen=True)
 class Verdict:
-    """What is claimed; the fields but the last four are those of report.json.
+    """What is claimed; the fields but the last five are those of report.json.
 
     Attributes:
         kind: "none", "effects", "unknown" or "insufficient".
@@ -58,6 +58,7 @@ class Verdict:
         share: of the squared error of the refitted declared model beyond noise, what the named effects explain, 0 to 1.
         strokes: how many were recorded.
         worth: of each of the named effects, where what it needs was fitted.
+        is_cut_short: whether the budget ended before all was tried.
     """
 
     kind: str
@@ -68,11 +69,14 @@ class Verdict:
     share: float
     strokes: int
     worth: Mapping[str, Worth] = field(default_factory=dict)
+    is_cut_short: bool = False
 
     @property
     def is_open(self) -> bool:
         """Whether a further recording could tell more."""
         has_rivals = any(self.confusable_with.values())
+        if self.kind == "insufficient" and self.is_cut_short:
+            return False
         return self.kind in ("unknown", "insufficient") or (self.kind == "effects" and has_rivals)
 
 

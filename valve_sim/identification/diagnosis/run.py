@@ -326,6 +326,7 @@ class DiagnosisSession:
         return Verdict(
             decision.kind, decision.names, decision.others, decision.probability, decision.unnamed,
             self._share(self._search.tried[decision.names].fit), self._strokes, self._worth(decision.names),
+            self._search.problem.budget.is_used_up and bool(self._search.untried),
         )  # fmt: skip
 
     # -- what a report has beside --------------------------------------------------------------------------------------

@@ -22,6 +22,10 @@ BEYOND: Final = 3.0
 """Tolerances beyond which a declared value is reported as off, which chance alone causes once in 370."""
 
 
+APART: Final = 2.0
+"""Standard errors of an estimate within which it does not differ from what is declared."""
+
+
 class DeclaredValue(NamedTuple):
     """A declared value that is known within a tolerance.
 
@@ -45,8 +49,13 @@ class DeclaredValue(NamedTuple):
 
     @property
     def is_out(self) -> bool:
-        """Whether it is off by more than chance explains."""
-        return abs(self.deviation) > BEYOND
+        """Whether it is off by more than chance explains, and by more than its own error."""
+        return abs(self.deviation) > BEYOND and self.is_apart
+
+    @property
+    def is_apart(self) -> bool:
+        """Whether the estimate differs from what is declared by more than its own error."""
+        return abs(self.deviation) > APART * self.spread
 
 
 def declared_values(result: Fit) -> tuple[DeclaredValue, ...]:
@@ -86,7 +95,7 @@ def _by_effect(result: Fit, own: Nuisance, variance: float) -> DeclaredValue:
 
 
 def out_of_tolerance(values: Sequence[DeclaredValue]) -> list[str]:
-    """The names of those that are off by more than `BEYOND` tolerances."""
+    """The names of those that are off by more than `BEYOND` tolerances, and by more than their own error."""
     return [value.name for value in values if value.is_out]
 
 

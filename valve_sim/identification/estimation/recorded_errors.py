@@ -19,7 +19,8 @@ from valve_sim.identification.estimation.errors.error import LARGEST, SMALLEST
 from valve_sim.identification.estimation.linearised import BySizes, Linearised
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.structured_noise import GONE, Group, StructuredNoise, shown_by
-from valve_sim.identification.plants.protocol import Array, Channel
+from valve_sim.identification.plants.protocol import Array, Channel, Plant
+from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.plants.variation import stroke_of
 
 POINTS: Final = 40
@@ -74,6 +75,11 @@ class RecordedError:
         return self.probability >= LIKELY
 
 
+CLOCKS_OF_TABLES: Final = ("time column", "rate")
+"""`Trace.clock` of recordings whose commands and samples have one clock."""
+ONE_CLOCK: Final = "look for a delay of the sensor or of the driver: commands and samples of a table share one clock"
+
+
 class _Found(NamedTuple):
     """Size, standard deviation, 95 % interval and probability of an error."""
 
@@ -123,7 +129,15 @@ def _of_clocks(result: Fit) -> Iterator[RecordedError]:
         # Savage and Dickey: what the density at 0 was before the data over what it is after them.
         odds = math.exp(min(700.0, 0.5 * (value / error) ** 2)) * error / own.sigma if error > 0.0 else math.inf
         size = _Found(value, error, value - 1.96 * error, value + 1.96 * error, 1.0 / (1.0 + 1.0 / odds))
-        yield _entry(result.problem.plant.channels[own.channels[0]].recording, own.error, size, own.unit)
+        recording = result.problem.plant.channels[own.channels[0]].recording
+        yield _with_advice_on_clock(_entry(recording, own.error, size, own.unit), result.problem.plant)
+
+
+def _with_advice_on_clock(entry: RecordedError, plant: Plant) -> RecordedError:
+    """Of a table, whose commands and samples share a clock, another advice than to synchronise two."""
+    if isinstance(plant, ValvePlant) and plant.traces[entry.recording].clock in CLOCKS_OF_TABLES:
+        return replace(entry, what_to_do=ONE_CLOCK)
+    return entry
 
 
 def _of_stamps(result: Fit) -> Iterator[RecordedError]:

@@ -40,11 +40,13 @@ class Opening(NamedTuple):
 
     Attributes:
         volts: V. meets_main, reaches_stop: s, of the pilot plunger; NaN where it does not within `OPENING_TIME`.
+        has_one_plunger: whether the valve has no pilot; `meets_main` is then when the plunger leaves its seat.
     """
 
     volts: float
     meets_main: float
     reaches_stop: float
+    has_one_plunger: bool = False
 
 
 @dataclass(frozen=True)
@@ -240,4 +242,5 @@ def _findings(valve: Valve, constant: Interval | None, displacement: Array) -> I
 def opening_of(valve: Valve) -> Opening:
     """The opening of a valve after its reference voltage is switched on."""
     volts = valve.parameters.reference_voltage
-    return Opening(volts, *published_times(simulate(valve, Drive.of([0.0], [volts]), [OPENING_TIME])))
+    t1, t2 = published_times(simulate(valve, Drive.of([0.0], [volts]), [OPENING_TIME]))
+    return Opening(volts, t1, t2, valve.parameters.has_one_plunger)

@@ -27,6 +27,10 @@ OVERSHOOT: Final = 1.166
 """Siegmund's correction for a random walk observed once a stroke only."""
 
 
+FELL: Final = " −"
+"""Behind the name of a score that fell."""
+
+
 class Alarm(NamedTuple):
     """An alarm that was raised.
 
@@ -55,6 +59,15 @@ def threshold_for(run: float, reference: float) -> float:
     return high
 
 
+def likeliest_change(scores: Sequence[float]) -> int:
+    """Index of the score from which on the mean most likely is another than 0, all of spread 1.
+
+    The likelihood of a change with stroke k, its size unknown, is largest where (Σ scores from k on)²/count is.
+    """
+    sums = [math.fsum(scores[first:]) ** 2 / (len(scores) - first) for first in range(len(scores))]
+    return max(range(len(sums)), key=sums.__getitem__) if sums else 0
+
+
 class Sums:
     """Cumulative sums, up and down, for each named score.
 
@@ -68,7 +81,7 @@ class Sums:
     def __init__(self, run: float, names: Sequence[str], learned: int, one_sided: Sequence[str] = ()) -> None:
         self.reference = 0.5 * CHANGE + 2.0 / math.sqrt(learned)
         self._sums = {name: _Sum() for name in names}
-        self._sums.update({f"{name} −": _Sum() for name in names if name not in one_sided})
+        self._sums.update({f"{name}{FELL}": _Sum() for name in names if name not in one_sided})
         self.threshold = max(SCORE_LIMIT, threshold_for(run * len(self._sums), 0.5 * CHANGE))
 
     def __contains__(self, name: str) -> bool:
@@ -85,8 +98,8 @@ class Sums:
         """Add the scores of one stroke; the alarm, if that raises one."""
         for name, score in scores.items():
             self._sums[name].add(index, score, self.reference)
-            if f"{name} −" in self._sums:
-                self._sums[f"{name} −"].add(index, -score, self.reference)
+            if f"{name}{FELL}" in self._sums:
+                self._sums[f"{name}{FELL}"].add(index, -score, self.reference)
         cause, height = self.largest
         if height <= self.threshold:
             return None

@@ -115,6 +115,7 @@ class StrokeRecord(NamedTuple):
         arrival_spread: s, largest delay of its samples above the smallest of late; nan where arrivals are not known,
             and where the coil's voltage says when its commands took effect.
         stamp: ROS time of the opening command, ns; 0 where the times are of no clock.
+        is_dated: whether the coil's voltage says when its commands took effect.
     """
 
     number: int
@@ -126,6 +127,7 @@ class StrokeRecord(NamedTuple):
     fault: Fault | None
     arrival_spread: float = math.nan
     stamp: int = 0
+    is_dated: bool = False
 
 
 class Occasion(NamedTuple):

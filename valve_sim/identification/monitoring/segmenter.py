@@ -437,6 +437,7 @@ class StrokeSegmenter:
             StrokeRecord(
                 self.strokes, stroke.drive[0][0], trace, remark, stroke.opened, stroke.closed, stroke.fault,
                 self._arrivals.beyond_earliest(stroke.latest) if trace is heard else math.nan,
+                is_dated=trace is not heard,
             )
         )  # fmt: skip
         self.strokes += 1

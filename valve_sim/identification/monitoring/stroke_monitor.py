@@ -28,7 +28,7 @@ from valve_sim.identification.monitoring.commissioning import (
     is_held_too_short,
     stroke_timing,
 )
-from valve_sim.identification.monitoring.cusum import Alarm, Sums
+from valve_sim.identification.monitoring.cusum import FELL, Alarm, Sums, likeliest_change
 from valve_sim.identification.monitoring.findings import (
     DidNotClose,
     NotSimulated,
@@ -50,6 +50,7 @@ from valve_sim.identification.monitoring.scores import (
 )
 from valve_sim.identification.monitoring.segmenter import FEWEST_SAMPLES
 from valve_sim.identification.monitoring.settings import MonitorSettings
+from valve_sim.identification.monitoring.shared_delay import SharedDelay, without_delay
 from valve_sim.identification.monitoring.stroke_delays import crossing, delays_of
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.identification.plants.valve_sensors import as_it_began
@@ -118,6 +119,7 @@ class StrokeMonitor:
         self._settings = settings
         self._first: list[StrokeRecord] = []
         self._scatter: CommandScatter | None = None
+        self._shared: SharedDelay | None = None
         self._sums: Sums | None = None
         self._recent: deque[_Assessed] = deque(maxlen=settings.diagnosis_strokes)
         self._between: deque[Trace] = deque(maxlen=settings.diagnosis_strokes)
@@ -155,6 +157,14 @@ class StrokeMonitor:
         return math.nan if self._scatter is None else self._scatter.sigma
 
     @property
+    def shared_delay(self) -> float:
+        """s, by which the last strokes all obey their commands later than at commissioning; 0 where they do not.
+
+        It may be of a clock, of a load, or of the valve, and is no alarm by itself.
+        """
+        return 0.0 if self._shared is None else self._shared.seconds
+
+    @property
     def is_timing_uncertain(self) -> bool:
         """Whether commands' times scatter too much to score delays."""
         return self._scatter is not None and self._level() >= UNINFORMATIVE
@@ -188,26 +198,30 @@ class StrokeMonitor:
         ]
         if self._declared.gas is not None:
             return found[1:]
-        # The sum may have begun to rise, by chance, one stroke early.
+        # The change may have come within a stroke, or one later than is likeliest.
         return found[1:] if len(found) > FEWEST_TO_ISOLATE else found
 
     def _began(self) -> int:
-        """Number of the stroke with which the alarm began: the first of some that are far from the baseline alike.
+        """Number of the stroke with which the alarm most likely began.
 
-        By chance the sum may have begun to rise earlier, and strokes without the fault would bias its size.
+        By chance the sum may have begun to rise earlier, and strokes without the fault would bias its size, or make it
+        one that nothing explains. With gas it is the first of some that are far from the baseline alike.
         """
         began = self.alarm.began if self.alarm is not None else 0
-        since = [(stroke.number, stroke.furthest) for stroke in self._recent if stroke.number >= began]
-        if self._declared.gas is None or not since:
+        found = [stroke for stroke in self._recent if stroke.number >= began]
+        if self.alarm is None or not found:
             return began
+        if self._declared.gas is None:
+            return found[likeliest_change([stroke.along(self.alarm.cause) for stroke in found])].number
+        since = [(stroke.number, stroke.furthest) for stroke in found]
         far = 0.5 * float(np.median([furthest for _, furthest in since]))
         return next(number for number, furthest in since if furthest >= far)
 
     def take_evidence(self) -> list[Trace]:
         """The evidence, when it is time to isolate the fault (again); else none.
 
-        That is once there are `FEWEST_TO_ISOLATE` strokes of the alarm (or `FEWEST_WITH_GAS`), twice as many, and at
-        each full buffer of new.
+        That is once there are `FEWEST_TO_ISOLATE` strokes of the alarm (or `FEWEST_WITH_GAS`), half as many more, twice
+        as many again, and at each full buffer of new.
         """
         evidence = self.evidence() if self.alarm is not None else []
         fewest = FEWEST_TO_ISOLATE if self._declared.gas is None else FEWEST_WITH_GAS
@@ -216,7 +230,8 @@ class StrokeMonitor:
         most = self._settings.diagnosis_strokes
         # A full buffer gives one less, because `evidence` leaves the first out.
         missing = most - 1 - len(evidence)
-        self._isolate_at = self._judged + (min(len(evidence), missing) if missing > 0 else most)
+        further = fewest // 2 if len(evidence) < fewest + fewest // 2 else len(evidence)
+        self._isolate_at = self._judged + (min(further, missing) if missing > 0 else most)
         return evidence
 
     def assess(self, record: StrokeRecord, *, refit: bool = True) -> StrokeReport:
@@ -240,9 +255,10 @@ class StrokeMonitor:
                     if level >= UNINFORMATIVE and is_held_too_short(record.trace, self.commissioning.baseline.valve):
                         return self._report(record, None, {}, None, state, Unusable.HELD_TOO_BRIEFLY, {})
                     state = StrokeState.TIMING_UNCERTAIN if level >= UNINFORMATIVE else StrokeState.WATCHING
-                    scored = score_stroke(record.trace, self.commissioning.baseline, level)
+                    trace = without_delay(record.trace, self.shared_delay)
+                    scored = score_stroke(trace, self.commissioning.baseline, level)
                     scores = self.commissioning.standard(scored.scores, level)
-                    alarm = self._add(record, scored, scores)
+                    alarm = self._add(record._replace(trace=trace), scored, scores)
             except (SimulationError, np.linalg.LinAlgError) as error:
                 state, remark = StrokeState.NOT_JUDGED, NotSimulated(str(error))
         if scored is None and self.commissioning is not None:
@@ -290,7 +306,7 @@ class StrokeMonitor:
         run = self._settings.strokes_between_false_alarms
         self._sums = Sums(run, commissioning.names, len(strokes), one_sided=(SIZE,))
         self._leading, self._sum, self._threshold = "", math.nan, self._sums.threshold
-        self._scatter = CommandScatter(baseline.jitter, strokes)
+        self._scatter, self._shared = CommandScatter(baseline.jitter, strokes), SharedDelay(baseline.jitter, strokes)
         self._recent.clear()
         self._between.clear()
         self._last_raised, self._judged, self._isolate_at = -math.inf, 0, 0
@@ -299,7 +315,7 @@ class StrokeMonitor:
 
     def recommission(self) -> None:
         """Discard the baseline: the next strokes are taken as the new one."""
-        self.commissioning = self._sums = self._scatter = self.alarm = None
+        self.commissioning = self._sums = self._scatter = self._shared = self.alarm = None
         self._first = []
         self._recent.clear()
         self._between.clear()
@@ -308,15 +324,17 @@ class StrokeMonitor:
     def _allowed(self, record: StrokeRecord, commissioning: Commissioning) -> float:
         """The standard deviation of this stroke's commands' times, s."""
         assert self._scatter is not None
-        self._scatter.add(stroke_timing(record, commissioning.baseline))
+        assert self._shared is not None
+        timing = stroke_timing(record, commissioning.baseline)
+        self._scatter.add(timing)
+        self._shared.add(timing, is_dated=record.is_dated)
         return self._level()
 
     def _add(self, record: StrokeRecord, scored: Scored, scores: Mapping[str, float]) -> Alarm | None:
         assert self._sums is not None
         self._judged += 1
-        furthest = max(map(abs, scores.values()), default=0.0)
         trace = record.trace if self._declared.gas is None else _after(self._between, record.trace)
-        self._recent.append(_Assessed(record.number, trace, scored.shifts, furthest))
+        self._recent.append(_Assessed(record.number, trace, scored.shifts, dict(scores)))
         self._between.clear()
         # Delays that cannot be scored count as 0, so that earlier ones decay from their sums.
         unknown = {name: 0.0 for name in DELAYS if self.is_timing_uncertain and name in self._sums}
@@ -380,12 +398,23 @@ class StrokeMonitor:
 
 
 class _Assessed(NamedTuple):
-    """A stroke that was compared with the model, the delays of its commands, s, and its largest score."""
+    """A stroke that was compared with the model, the delays of its commands, s, and its scores."""
 
     number: int
     trace: Trace
     shifts: Array
-    furthest: float
+    scores: Mapping[str, float]
+
+    @property
+    def furthest(self) -> float:
+        """Its largest score."""
+        return max(map(abs, self.scores.values()), default=0.0)
+
+    def along(self, cause: str) -> float:
+        """Its score in the direction of an alarm; 0 where it has none."""
+        name = cause.removesuffix(FELL)
+        score = self.scores.get(name, 0.0)
+        return score if name == cause else -score
 
 
 def _after(earlier: Sequence[Trace], trace: Trace) -> Trace:

@@ -85,9 +85,20 @@ def dampings_of(valve: Valve) -> tuple[str, ...]:
     return DAMPINGS[1:] if valve.parameters.has_one_plunger else DAMPINGS
 
 
-def volts_at(valve: Valve, levels: Sequence[float]) -> tuple[float, ...]:
-    """Voltages at these shares of a valve's reference voltage, V, rounded to 10 mV."""
-    return tuple(round(level * valve.parameters.reference_voltage, 2) for level in levels)
+def volts_at(valve: Valve, levels: Sequence[float], driven: float = math.inf) -> tuple[float, ...]:
+    """Voltages at these shares of a valve's reference voltage, V, rounded to 10 mV.
+
+    Args:
+        driven: the highest voltage that was recorded, V. Where it is below the reference voltage, the coil or its
+            driver may not stand more: the levels are then spread up to that voltage.
+    """
+    reference = valve.parameters.reference_voltage
+    volts = [level * reference for level in levels]
+    if 0.0 < driven < reference:
+        lowest = LOWEST_LEVEL * driven
+        share = (driven - lowest) / ((HIGHEST_LEVEL - LOWEST_LEVEL) * reference)
+        volts = [lowest + share * (own - LOWEST_LEVEL * reference) for own in volts]
+    return tuple(round(own, 2) for own in volts)
 
 
 class ValvePlant:
@@ -192,6 +203,11 @@ class ValvePlant:
         return tuple(itertools.chain.from_iterable(self._kinds[recording][group]))
 
     @property
+    def driven(self) -> float:
+        """The highest voltage that was recorded, V."""
+        return max((float(np.max(np.abs(trace.drive.volts), initial=0.0)) for trace in self.traces), default=0.0)
+
+    @property
     def experiments(self) -> Sequence[Experiment]:
         """Single pulses, from those that lift the valve partly to full strokes, sampled as the first trace is."""
         interval = float(np.median(np.diff(self.traces[0].sample_times)))
@@ -202,13 +218,13 @@ class ValvePlant:
                 functools.partial(self._recorded, volts, duration, times),
                 ((0.0, volts), (duration, 0.0)),
             )
-            for volts, duration in itertools.product(volts_at(self.valve, PULSE_LEVELS), PULSE_DURATIONS)
+            for volts, duration in itertools.product(volts_at(self.valve, PULSE_LEVELS, self.driven), PULSE_DURATIONS)
         ]
 
     @property
     def advice(self) -> Advice:
         """Releases, several voltages and short pulses tell effects apart (measured on surrogate data)."""
-        lowest, highest = volts_at(self.valve, (LOWEST_LEVEL, HIGHEST_LEVEL))
+        lowest, highest = volts_at(self.valve, (LOWEST_LEVEL, HIGHEST_LEVEL), self.driven)
         return Advice(
             "one stroke at one voltage cannot tell an effect from damping",
             f"Record next: eight strokes with their releases at {lowest:g} to {highest:g} V, about 30 ms on and 30 ms "

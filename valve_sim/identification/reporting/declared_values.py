@@ -69,9 +69,11 @@ def out_words(found: DeclaredValue) -> str:
 
 
 def amount_words(found: DeclaredValue) -> str:
-    """461.2 ± 2.4 N/m, not 428: 4.2 tolerances."""
+    """461.2 ± 2.4 N/m, not 428: 4.2 tolerances; or 1264 ± 666 N/m, which does not differ from the declared 2000."""
     scale, _ = readable(found.unit, found.estimate or found.stderr)
     value = f"{scale * found.value:.6g}".replace("-", "−")
+    if not found.is_apart:
+        return f"{as_estimated(found)}, which does not differ from the declared {value} by more than its own error"
     return f"{as_estimated(found)}, not {value}: {abs(found.deviation):.1f} tolerances"
 
 
@@ -92,6 +94,9 @@ def summary_words(values: Sequence[DeclaredValue]) -> str:
     if out:
         return "; ".join(out)
     furthest = max(values, key=lambda found: abs(found.deviation))
+    loose = [found for found in values if abs(found.deviation) > BEYOND and not found.is_apart]
+    if loose:
+        return f"the {plain_name(loose[0].name)} is {amount_words(loose[0])}"
     if abs(furthest.deviation) < _LEAST_TOLD:
         return f"all {len(values)} are where they are declared, within a tenth of a tolerance"
     return (

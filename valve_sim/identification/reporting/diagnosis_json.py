@@ -43,6 +43,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
             "probability": diagnosis.verdict.probability,
             "unnamed": diagnosis.verdict.unnamed,
             "share": diagnosis.verdict.share,
+            "ended": "budget" if diagnosis.verdict.is_cut_short else None,
             "worth": {name: worth._asdict() for name, worth in diagnosis.verdict.worth.items()},
             "summary": summarise(diagnosis),
             "headline": headline(diagnosis),

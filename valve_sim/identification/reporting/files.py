@@ -61,6 +61,7 @@ def write_diagnosis(
     final: Path | None = None,
     *,
     report: Mapping[str, Any] | None = None,
+    options: str = "",
 ) -> tuple[Path, ...]:
     """Write what a diagnosis found, each file whole or not at all.
 
@@ -71,6 +72,7 @@ def write_diagnosis(
         picture: where to draw the page's plots, too; default nowhere.
         final: the folder that the files will be moved to, for the commands that the page prints; default `directory`.
         report: what `to_json` made of it, if that is known; it may take many simulations.
+        options: of commands that the files print: the machine and the map, as "--params my_valve.yaml --map map.yaml".
 
     Returns:
         the files, report.json first.
@@ -81,11 +83,11 @@ def write_diagnosis(
     folder = Path(directory)
     data, page, corrected = (folder / name for name in FILES)
     write_whole(data, json_text(to_json(diagnosis) if report is None else report))
-    write_report(diagnosis, page, provenance, final)
+    write_report(diagnosis, page, provenance, final, options)
     written = [data, page]
     if isinstance(diagnosis.plant, ValvePlant):
         save_valve(corrected, diagnosis.valve, provenance)
-        profile = write_record_next(folder, diagnosis, provenance)
+        profile = write_record_next(folder, diagnosis, provenance, options)
         written += [corrected] if profile is None else [corrected, profile]
     if isinstance(diagnosis.plant, OwnPlant):
         save_plant(corrected, corrected_plant(diagnosis), provenance)

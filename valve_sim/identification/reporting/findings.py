@@ -27,15 +27,13 @@ from valve_sim.identification.estimation.static_force import (
     StaticFinding,
 )
 from valve_sim.identification.plants.protocol import Plant
-from valve_sim.identification.reporting.units import limits, measured, quantity
+from valve_sim.identification.reporting.units import disagree, limits, measured, quantity
 from valve_sim.identification.reporting.wording import percent
 
 _UNBOUNDED: Final = {
     Unbounded.FLAT_PROFILE: "the profile is flat: these data do not determine it",
     Unbounded.MAY_BE_INFINITE: "it may be too long to be seen in these data",
 }
-_SIGMAS_95: Final = 1.96
-_HALF_MORE: Final = 1.5
 _DISAGREEING: Final = (
     "± is one standard error, from the curvature of χ² at the best value; the 95 % interval follows from χ² itself, "
     "all else refitted, or ends at a bound. The two disagree here: use the interval"
@@ -54,15 +52,6 @@ def remark_on(interval: Interval) -> str:
     if interval.unbounded is not None:
         return _UNBOUNDED[interval.unbounded]
     return _DISAGREEING if disagree(interval) else ""
-
-
-def disagree(interval: Interval) -> bool:
-    """Whether one side of a 95 % interval is longer or shorter by more than a half than its standard error says."""
-    expected = _SIGMAS_95 * interval.stderr
-    if not (math.isfinite(expected) and expected > 0.0):
-        return False
-    sides = (interval.value - interval.low, interval.high - interval.value)
-    return any(not expected / _HALF_MORE <= side <= expected * _HALF_MORE for side in sides)
 
 
 def remarks(findings: Iterable[Finding | StaticFinding]) -> list[str]:
@@ -118,13 +107,15 @@ def _start_of_motion(finding: StartOfMotion) -> str:
 
 
 def _opening(opening: Opening) -> str:
-    volts, meets_main, reaches_stop = opening
+    volts, meets_main, reaches_stop, has_one_plunger = opening
+    plunger = "plunger" if has_one_plunger else "pilot plunger"
     if math.isnan(meets_main):
-        return f"the valve never opens at {volts:g} V (nothing lifts the pilot plunger off its seat)"
+        return f"the valve never opens at {volts:g} V (nothing lifts the {plunger} off its seat)"
     reached = (
         "never reaches the stop" if math.isnan(reaches_stop) else f"reaches the stop at {1e3 * reaches_stop:.2f} ms"
     )
-    return f"the pilot plunger meets the main plunger at {1e3 * meets_main:.2f} ms and {reached} at {volts:g} V"
+    first = "leaves its seat" if has_one_plunger else "meets the main plunger"
+    return f"the {plunger} {first} at {1e3 * meets_main:.2f} ms and {reached} at {volts:g} V"
 
 
 def interval_json(found: Interval) -> dict[str, Any]:

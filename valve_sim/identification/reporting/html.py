@@ -28,10 +28,16 @@ from valve_sim.identification.reporting.declared_values import declared_section,
 from valve_sim.identification.reporting.findings import remark_on
 from valve_sim.identification.reporting.followed_positions import stroke_plot, stroke_words, strokes_followed
 from valve_sim.identification.reporting.force_curves import ForceCurve, force_curve, motion_of
-from valve_sim.identification.reporting.recording_profile import duration_of, profile_to_record
+from valve_sim.identification.reporting.recording_profile import (
+    duration_of,
+    most_volts,
+    option_of,
+    params_of,
+    profile_to_record,
+)
 from valve_sim.identification.reporting.recording_state import recording_rows
 from valve_sim.identification.reporting.summary import recording_advice, summarise
-from valve_sim.identification.reporting.units import limits, measured, quantity, signed, three_digits
+from valve_sim.identification.reporting.units import gain_words, limits, measured, quantity, three_digits
 from valve_sim.identification.reporting.wording import (
     choice_words,
     headline,
@@ -42,6 +48,7 @@ from valve_sim.identification.reporting.wording import (
     percent,
     rounding_words,
     unseen_noise_words,
+    value_words,
 )
 from valve_sim.invocation import invocation
 
@@ -68,7 +75,9 @@ _SMALLEST_PROBABILITY: Final = 1e-6
 """Smaller p-values are shown as below this one."""
 
 
-def write_report(diagnosis: Diagnosis, path: Path | str, provenance: str = "", folder: Path | None = None) -> None:
+def write_report(
+    diagnosis: Diagnosis, path: Path | str, provenance: str = "", folder: Path | None = None, options: str = ""
+) -> None:
     """Write report.html, whole or not at all.
 
     Args:
@@ -76,6 +85,7 @@ def write_report(diagnosis: Diagnosis, path: Path | str, provenance: str = "", f
         path: of the page.
         provenance: how it was made, shown as it stands.
         folder: where the page will lie, for the commands that it prints; default that of `path`.
+        options: of these commands, as of `write_diagnosis`.
 
     Raises:
         ValveError: the page cannot be written.
@@ -87,26 +97,26 @@ def write_report(diagnosis: Diagnosis, path: Path | str, provenance: str = "", f
         lstrip_blocks=True,
     )
     page = environment.get_template("report.html.j2").render(
-        _content(diagnosis), **_typed(diagnosis, folder or Path(path).parent), provenance=provenance
+        _content(diagnosis), **_typed(diagnosis, folder or Path(path).parent, options), provenance=provenance
     )
     write_whole(Path(path), page)
 
 
-def _typed(diagnosis: Diagnosis, folder: Path) -> dict[str, Any]:
+def _typed(diagnosis: Diagnosis, folder: Path, options: str) -> dict[str, Any]:
     """The template's variables for commands, such that they work where this process was started."""
-    is_valve = isinstance(diagnosis.plant, ValvePlant)
+    plant, drive = diagnosis.plant, None
+    if isinstance(plant, ValvePlant):
+        drive = profile_to_record(diagnosis.recommendation, diagnosis.valve, plant.driven)
     return {
-        "duration": f"{_duration(diagnosis):.2f}" if is_valve else "",
+        "duration": "" if drive is None else f"{duration_of(drive):.2f}",
+        "max_voltage": "" if drive is None else most_volts(drive),
+        "params": params_of(options),
+        "source": option_of(options, "--map") + option_of(options, "--valve"),
         "program": invocation,
         "has_ros2": shutil.which("ros2") is not None,
         "profile": shlex.quote(str(folder / "record_next.yaml")),
         "corrected": shlex.quote(str(folder / "corrected.yaml")),
     }
-
-
-def _duration(diagnosis: Diagnosis) -> float:
-    """Duration of the recommended recording, s."""
-    return duration_of(profile_to_record(diagnosis.recommendation, diagnosis.valve))
 
 
 def draw_diagnosis(diagnosis: Diagnosis) -> Picture:
@@ -325,7 +335,7 @@ def _candidate_row(candidate: Candidate, diagnosis: Diagnosis, scale: float, uni
     values = [
         # By name: a description, such as "C in −C v |v|", does not fit beside a number.
         f"{(name.partition('.')[2] or plain_name(name)).translate(_SPACES)} "
-        f"{quantity(found.value, plant.parameter(name).unit)}"
+        f"{value_words(found.value, plant.parameter(name))}"
         for name, found in candidate.intervals.items()
         if ("." in name or name in own) and not _is_drawn(name)
     ]
@@ -334,7 +344,7 @@ def _candidate_row(candidate: Candidate, diagnosis: Diagnosis, scale: float, uni
         "name": " + ".join(candidate.effects),
         "probability": percent(candidate.probability),
         "unnamed": percent(candidate.unnamed),
-        "gain": signed(-0.5 * candidate.delta_bic, 1),
+        "gain": gain_words(-0.5 * candidate.delta_bic),
         "train": _number(scale * candidate.train_rmse, unit),
         "holdout": _number(scale * candidate.holdout_rmse, unit),
         "text": "; ".join(values),
@@ -386,7 +396,7 @@ def _forces(diagnosis: Diagnosis) -> dict[str, Any]:
     maps = [
         {
             "variable": curve.label.partition(",")[0] + _FACTOR_WORDS.get(curve.variable[1:], ""),
-            "gain": signed(0.5 * curve.gain, 1),
+            "gain": gain_words(0.5 * curve.gain),
             "rms": quantity(curve.rms, "N"),
             "where": curve.where,
         }

@@ -118,6 +118,15 @@ def finding_words(finding: FaultFinding) -> str:
     return f"{uncertain}{changes}{alternatives}"
 
 
+def shared_delay_words(seconds: float) -> str:
+    """A delay that all of the last strokes share."""
+    size = quantity(abs(seconds), "s", 2)
+    return (
+        f"commands are obeyed {size} {'later' if seconds > 0.0 else 'sooner'} than when commissioned: a clock, a load, "
+        "or the valve; hear ~/coil to tell"
+    )
+
+
 def _change(effect: str, finding: FaultFinding) -> str:
     """An effect, a damping or another declared value with its values, and what these were before."""
     if effect.startswith(WRONG):

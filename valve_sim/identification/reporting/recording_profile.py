@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 from pathlib import Path
 from typing import Final
@@ -9,10 +10,12 @@ from typing import Final
 from valve_sim.files.whole_files import write_whole
 from valve_sim.identification.diagnosis.experiment_design import Recommendation
 from valve_sim.identification.diagnosis.outcome import Diagnosis
-from valve_sim.identification.plants.valve import HIGHEST_LEVEL, LOWEST_LEVEL, volts_at
+from valve_sim.identification.plants.valve import HIGHEST_LEVEL, LOWEST_LEVEL, ValvePlant, volts_at
 from valve_sim.invocation import invocation
 from valve_sim.model import Drive, Valve
 
+MAX_VOLTAGE: Final = 30.0
+"""V: `command_profile` refuses more by default."""
 RECORD_NEXT_FILE: Final = "record_next.yaml"
 STROKE_LEVELS: Final = (
     LOWEST_LEVEL,
@@ -31,15 +34,16 @@ LEAD: Final = 0.1
 """s of rest before the first command: the sensor's noise is read from it."""
 
 
-def profile_to_record(recommendation: Recommendation | None, valve: Valve) -> Drive:
+def profile_to_record(recommendation: Recommendation | None, valve: Valve, driven: float = math.inf) -> Drive:
     """The commands of the recommended recording: the best pulse, repeated, then full strokes at other voltages.
 
     Args:
         recommendation: the pulse that separates the candidates best; None where none does.
         valve: what is recorded; its reference voltage scales the full strokes.
+        driven: the highest voltage that was recorded so far, V; see `volts_at`.
     """
     pulses = [recommendation.experiment.commands] * recommendation.repeats if recommendation is not None else []
-    strokes = [((0.0, volts), (ON, 0.0)) for volts in volts_at(valve, STROKE_LEVELS)]
+    strokes = [((0.0, volts), (ON, 0.0)) for volts in volts_at(valve, STROKE_LEVELS, driven)]
     rows, start = [], LEAD
     for commands in [*pulses, *strokes]:
         rows += [(start + time, volts) for time, volts in commands]
@@ -53,11 +57,33 @@ def duration_of(drive: Drive) -> float:
     return float(drive.times[-1]) + REST
 
 
-def write_record_next(folder: Path, diagnosis: Diagnosis, provenance: str) -> Path | None:
+def highest_of(drive: Drive) -> float:
+    """Its highest voltage, V."""
+    return float(max(abs(drive.volts)))
+
+
+def most_volts(drive: Drive) -> str:
+    """The option with which `command_profile` takes a profile whose voltages it refuses by default."""
+    return f" -p max_voltage:={math.ceil(highest_of(drive)):.1f}" if highest_of(drive) > MAX_VOLTAGE else ""
+
+
+def option_of(options: str, name: str) -> str:
+    """One of the options of a diagnosis with its value and a space before it; empty where it was not given."""
+    words = shlex.split(options)
+    return f" {name} {shlex.quote(words[words.index(name) + 1])}" if name in words else ""
+
+
+def params_of(options: str) -> str:
+    """Of the options of a diagnosis, the one that `simulate` takes, too."""
+    return option_of(options, "--params")
+
+
+def write_record_next(folder: Path, diagnosis: Diagnosis, provenance: str, options: str = "") -> Path | None:
     """Write record_next.yaml where a diagnosis advises a recording; its path, None where there is none.
 
     Args:
         folder: of the diagnosis' files. diagnosis: of a valve. provenance: how it was made.
+        options: of the commands in its header: the diagnosed valve, as "--params my_valve.yaml --map map.yaml".
 
     Raises:
         ValveError: it cannot be written.
@@ -67,11 +93,19 @@ def write_record_next(folder: Path, diagnosis: Diagnosis, provenance: str) -> Pa
         # One from an earlier run into this folder would advise what this diagnosis does not.
         path.unlink(missing_ok=True)
         return None
-    write_profile(path, diagnosis.recommendation, diagnosis.valve, provenance)
+    driven = diagnosis.plant.driven if isinstance(diagnosis.plant, ValvePlant) else math.inf
+    write_profile(path, diagnosis.recommendation, diagnosis.valve, provenance, options, driven)
     return path
 
 
-def write_profile(path: Path, recommendation: Recommendation | None, valve: Valve, provenance: str) -> None:
+def write_profile(
+    path: Path,
+    recommendation: Recommendation | None,
+    valve: Valve,
+    provenance: str,
+    options: str = "",
+    driven: float = math.inf,
+) -> None:
     """Write record_next.yaml, whole or not at all.
 
     The commands in its header can be typed where this process was started.
@@ -81,11 +115,12 @@ def write_profile(path: Path, recommendation: Recommendation | None, valve: Valv
         recommendation: the pulse that separates the candidates best; None where none does.
         valve: what is recorded.
         provenance: how the diagnosis was made.
+        options, driven: as of `write_record_next` and `profile_to_record`.
 
     Raises:
         ValveError: it cannot be written.
     """
-    drive, file = profile_to_record(recommendation, valve), shlex.quote(str(path))
+    drive, file = profile_to_record(recommendation, valve, driven), shlex.quote(str(path))
     valve_sim = invocation()
     notes = [
         *provenance.splitlines(),
@@ -93,10 +128,12 @@ def write_profile(path: Path, recommendation: Recommendation | None, valve: Valv
         *_gain_words(recommendation),
         "",
         "Rows are [time in s, volts]; each voltage holds until the next row. Highest: "
-        f"{max(abs(drive.volts)):g} V; remove rows that your coil or its driver cannot stand.",
-        f"Simulate: {valve_sim} simulate --profile {file} --duration {duration_of(drive):.2f} --output next.mcap",
-        f"Command:  {invocation('command_profile')} --ros-args -p profile:={file} -p valve:=/valve",
-        f"Then diagnose the new recording together with the old one: {valve_sim} diagnose OLD NEW --output results",
+        f"{highest_of(drive):g} V; remove rows that your coil or its driver cannot stand.",
+        f"Simulate: {valve_sim} simulate --profile {file} --duration {duration_of(drive):.2f}{params_of(options)} "
+        "--output next.mcap",
+        f"Command:  {invocation('command_profile')} --ros-args -p profile:={file} -p valve:=/valve{most_volts(drive)}",
+        f"Then diagnose the new recording together with the old one: {valve_sim} diagnose OLD NEW"
+        f"{f' {options}' if options else ''} --output results",
     ]
     rows = [
         f"- [{time:.6g}, {volts:g}]" for time, volts in zip(drive.times.tolist(), drive.volts.tolist(), strict=True)

@@ -23,6 +23,7 @@ from valve_sim.identification.reporting.wording import (
     meanings,
     percent,
     rounding_words,
+    told_amounts,
     unseen_noise_words,
 )
 
@@ -51,9 +52,7 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
     remarks = (choice_words(diagnosis), rounding_words(diagnosis), unseen, holdout_words(diagnosis))
     lines += [f"  {words}" for words in remarks if words]
     for meaning in meanings(diagnosis):
-        severity = f", {meaning.severity}" if meaning.severity else ""
-        amounts = "; ".join(f"{what} {value}" for what, value in meaning.amounts)
-        lines.append(f"  {meaning.title} ({meaning.name}): {amounts}{severity}")
+        lines.append(f"  {meaning.title} ({meaning.name}): {told_amounts(meaning)}")
         lines += [f"    {words}" for words in (meaning.on_a_real_valve, meaning.what_to_do) if words]
     if verdict.kind == "unknown":
         lines.append("  Values of the declared model by itself, which what is missing distorts:")

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from valve_sim.identification.estimation.intervals import Interval
-from valve_sim.identification.plants.protocol import KEY_OF_UNIT, Plant
+from valve_sim.identification.plants.protocol import KEY_OF_UNIT
 
 _PREFIXES: Final[Mapping[str, tuple[tuple[float, str], ...]]] = {
     "m": ((1e-3, "µm"), (1.0, "mm")),
@@ -37,6 +37,10 @@ _FACTORS: Final = {
 _NO_UNIT: Final = ("", "–")
 _MOST_PLACES: Final = 7
 _LARGE: Final = 1e5
+_SIGMAS_95: Final = 1.96
+_HALF_MORE: Final = 1.5
+_FAR_LESS: Final = 1000.0
+"""Ln of the evidence: a set that has less by so much is out of the question."""
 _RAISED: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -62,11 +66,6 @@ def three_digits(value: float) -> str:
     return "–" if math.isnan(value) else _short(value, 3)
 
 
-def listed_values(plant: Plant, values: Mapping[str, float], digits: int = 4) -> str:
-    """Values by name, each with its unit, as in a sentence."""
-    return ", ".join(f"{name} {quantity(value, plant.parameter(name).unit, digits)}" for name, value in values.items())
-
-
 def in_unit(name: str, value: Any, unit: str) -> dict[str, Any]:
     """An entry of a report in the unit in which people read it; where that has a short name, under `<name>_um`, too."""
     return {name: value, f"{name}_{KEY_OF_UNIT[unit]}": value} if unit in KEY_OF_UNIT else {name: value}
@@ -79,9 +78,34 @@ def measured(found: Interval, unit: str) -> str:
     scale, name = readable(unit, found.value or found.stderr)
     value, error = scale * found.value, scale * found.stderr
     places = 1 - math.floor(math.log10(error)) if error > 0.0 else _MOST_PLACES
+    if places < 0 and max(abs(value), error) < _LARGE:
+        places = 0
     if not 0 <= places < _MOST_PLACES or abs(value) >= _LARGE:
         return f"{_short(value, 5)} ± {_short(error, 2)} {name}".rstrip()
     return f"{value:.{places}f} ± {error:.{places}f} {name}".rstrip().replace("-", "−")
+
+
+def disagree(interval: Interval) -> bool:
+    """Whether one side of a 95 % interval is longer or shorter by more than a half than its standard error says."""
+    expected = _SIGMAS_95 * interval.stderr
+    if not (math.isfinite(expected) and expected > 0.0):
+        return False
+    sides = (interval.value - interval.low, interval.high - interval.value)
+    return any(not expected / _HALF_MORE <= side <= expected * _HALF_MORE for side in sides)
+
+
+def amount(found: Interval, unit: str) -> str:
+    """A value with its standard error, or with its 95 % interval where the standard error does not describe it."""
+    if not disagree(found):
+        return measured(found, unit)
+    return f"{quantity(found.value, unit)} (95 %: {limits(found, unit)})"
+
+
+def gain_words(log_odds: float) -> str:
+    """By how much ln of the evidence is larger than that of the declared model: +12.3, −0.4, < −1000."""
+    if log_odds < -_FAR_LESS:
+        return f"< −{_FAR_LESS:.0f}"
+    return signed(log_odds, 1 if log_odds < _FAR_LESS else 0)
 
 
 def limits(found: Interval, unit: str) -> str:

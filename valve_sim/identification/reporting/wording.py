@@ -14,8 +14,8 @@ from valve_sim.identification.plants.protocol import Plant, primary_channels
 from valve_sim.identification.plants.tolerances import GROUP
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.declared_values import amount_words, plain_name
-from valve_sim.identification.reporting.units import measured, quantity
-from valve_sim.model import CATALOGUE, Effect
+from valve_sim.identification.reporting.units import amount, quantity
+from valve_sim.model import CATALOGUE, Effect, Parameter
 
 SURE: Final = 0.9
 """Probability above which a verdict is called found."""
@@ -24,6 +24,8 @@ COORDINATES: Final = {"attraction_polynomial": "attraction"}
 EVEN: Final = 0.5
 """Probability below which a verdict is more likely wrong than right."""
 
+LEAST_SHARE: Final = 0.01
+"""Share of the improvement that is no more told by a number."""
 VISIBLE: Final = 1e-3
 """Relative difference of two errors that a reader sees."""
 
@@ -60,7 +62,7 @@ class Meaning(NamedTuple):
 def kind_words(verdict: Verdict) -> tuple[str, bool]:
     """The verdict in a few words, and whether it is sure enough to act on."""
     if verdict.kind == "insufficient":
-        return "The data cannot tell", False
+        return "The budget ended too soon" if verdict.is_cut_short else "The data cannot tell", False
     if verdict.kind == "unknown":
         return "Something without a name", False
     found = "Nothing is missing" if verdict.kind == "none" else "Missing effect found"
@@ -92,6 +94,8 @@ def headline(diagnosis: Diagnosis) -> str:
     alike = named(others, "or")
     if verdict.kind == "insufficient":
         start = "These recordings cannot tell what is missing"
+        if verdict.is_cut_short:
+            start = "The budget ended before it could be told what is missing"
         return (
             f"{start}; {missing} fits best, {alike} about as well."
             if missing and alike
@@ -209,7 +213,16 @@ def _worth_words(diagnosis: Diagnosis, effect: str) -> tuple[tuple[str, str], ..
     left = (
         "" if math.isnan(worth.remaining) else f"; with it alone {percent(worth.remaining)} of the error would be left"
     )
-    return (("share of the improvement", f"{percent(worth.improvement)}{left}"),)
+    if worth.improvement < LEAST_SHARE:
+        return (("explains", f"less than {percent(LEAST_SHARE)} of what all named effects explain{left}"),)
+    return (("explains", f"{percent(worth.improvement)} of what all named effects explain{left}"),)
+
+
+def told_amounts(meaning: Meaning) -> str:
+    """The amounts of an effect, its size beside something known, and what it explains."""
+    own = [f"{what} {value}" for what, value in meaning.amounts if what != "explains"]
+    shares = [f"it {what} {value}" for what, value in meaning.amounts if what == "explains"]
+    return "; ".join([", ".join(["; ".join(own), *([meaning.severity] if meaning.severity else [])]), *shares])
 
 
 def limit_rows(diagnosis: Diagnosis) -> list[tuple[str, str]]:
@@ -234,9 +247,21 @@ def declared_effects(plant: Plant) -> list[str]:
 
 def _amount(diagnosis: Diagnosis, name: str, *, with_declared: bool) -> str:
     """0.80 ± 0.01 N, declared 0.30 N."""
-    unit = diagnosis.plant.parameter(name).unit
-    words = measured(diagnosis.after.intervals[name], unit)
+    parameter, found = diagnosis.plant.parameter(name), diagnosis.after.intervals[name]
+    unit = parameter.unit
+    words = amount(found, unit) if is_inside(found.value, parameter) else value_words(found.value, parameter)
     return f"{words}, declared {quantity(diagnosis.plant.declared(name), unit)}" if with_declared else words
+
+
+def is_inside(value: float, parameter: Parameter) -> bool:
+    """Whether a value is none at which the search ended for want of a larger or smaller one."""
+    ends = {parameter.lower, parameter.upper} - {parameter.off, 0.0, math.inf, -math.inf}
+    return not any(math.isclose(value, end, rel_tol=1e-6) for end in ends)
+
+
+def value_words(value: float, parameter: Parameter) -> str:
+    """A value with its unit; of one at which the search ended, that the data do not say it."""
+    return quantity(value, parameter.unit) if is_inside(value, parameter) else "not determined"
 
 
 def _wrong_value(diagnosis: Diagnosis, effect: str) -> Meaning:

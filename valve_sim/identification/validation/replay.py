@@ -90,7 +90,11 @@ class Errors(NamedTuple):
 
 
 class Arrival(NamedTuple):
-    """When the plungers arrived somewhere, s after the stroke's command: measured, and in the model (nan: never)."""
+    """When the plungers arrived somewhere, s after the stroke's command, both by the stamps of the samples.
+
+    `measured` is from the data alone, as `info` has it. `model` is when the sensor would have stamped the model's
+    arrival; nan: it never arrives.
+    """
 
     kind: str
     sensor: str
@@ -372,8 +376,8 @@ def _stroke_checks(
 
 def _arrival(event: SensorEvent, stroke: StrokePart, events: Sequence[Event], offset: float) -> Arrival:
     """What the sensors saw beside what the model has of a stroke's events."""
-    modelled = (found.time - stroke.start for found in events if found.kind in _ARRIVALS[event.kind])
-    return Arrival(event.kind, event.sensor, event.after_command - offset, event.stderr, next(modelled, math.nan))
+    modelled = (found.time + offset - stroke.start for found in events if found.kind in _ARRIVALS[event.kind])
+    return Arrival(event.kind, event.sensor, event.after_command, event.stderr, next(modelled, math.nan))
 
 
 class Motion(NamedTuple):

@@ -45,7 +45,8 @@ class Severity(NamedTuple):
 
     def __str__(self) -> str:
         """As a report says it, "6 % of the spring preload"."""
-        return f"{100.0 * self.share:.2g} % of {self.of}"
+        percent = float(f"{100.0 * self.share:.2g}")  # two digits, without an exponent
+        return f"{percent:.15g} % of {self.of}"
 
 
 SeverityOf = Callable[[Values, Values], Severity | None]

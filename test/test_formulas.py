@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
+from formulas import equations_without_effects, formulas_of, latex
 
 from valve_sim.model import CATALOGUE
 from valve_sim.model.core.tracer import Node, Trace, exp, maximum, minimum, sqrt, where
-from valve_sim.model.latex import equations_without_effects, formulas_of, latex
 
 TRACE = Trace()
 X, V, A, B = TRACE.state("x"), TRACE.state("v"), TRACE.number("stroke"), TRACE.number("film_thickness")
