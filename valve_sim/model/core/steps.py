@@ -76,7 +76,11 @@ def try_step(b: Block, t: Block) -> int:
     """`step` of a size up to LONGEST. The series is compared with its equation within it, but not at an event."""
     kernel = b[at.MOVE] if b[at.MOVING] > 0.0 else b[at.REST]
     invoke(kernel, b, t)
+    before = 2.0 * FARTHEST
     while b[at.IS_CHECKED] > 0.0 and b[at.DEFECT] > 1.0 and b[at.STEP] > SHORTEST_STEP:
+        if b[at.DEFECT] < FARTHEST and b[at.DEFECT] > 0.5 * before:
+            break  # A shorter step is no better: this is rounding, as of the sine of a large number.
+        before = b[at.DEFECT]
         b[at.LONGEST] = RETAKEN * b[at.STEP]
         invoke(kernel, b, t)
     h = b[at.STEP]
@@ -278,7 +282,8 @@ def first_event(b: Block, t: Block) -> int:
     for guard in range(count):
         latest = b[at.STEP]
         c = at.GUARD + (3 + guard) * at.TERMS
-        if b[c] < 0.0 and -b[c] < RECOVERS * b[c + 1] * latest:
+        is_new = guard == b[at.FLIPPED] and b[at.FLIPPED_AT] == b[at.TIME]
+        if b[c] < 0.0 < b[c + 1] and (is_new or -b[c] < RECOVERS * b[c + 1] * latest):
             # It has just changed, and the state is off the root of the series before by rounding.
             b[c] = 0.0
         changes = first_fall(b, c, latest, ROUNDING * extent(b, c, latest))
