@@ -106,7 +106,8 @@ def is_off(b: Block, t: Block) -> bool:
     slope = 0.0
     for k in range(at.ORDER, 1, -1):
         slope = k * (k - 1) * b[at.SERIES_X + k] + h * slope
-    return abs(slope - b[at.ACCELERATION]) * h > b[at.TOLERANCE] * max(abs(b[at.V]), SIZE_OF_V)
+    is_far: bool = abs(slope - b[at.ACCELERATION]) * h > b[at.TOLERANCE] * max(abs(b[at.V]), SIZE_OF_V)
+    return is_far
 
 
 def shorten(b: Block, t: Block) -> None:
