@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from model.core.cases import CALIBRATED, STROKE, drawn
+from model.core.cases import CALIBRATED, STROKE
 from valve_sim.model import TOLERANCE, Stepper, Valve, simulate
 from valve_sim.model.core_types import Phase
 from valve_sim.model.errors import SimulationError
@@ -15,36 +15,6 @@ from valve_sim.model.live import Live
 from valve_sim.model.parameters import ValveParameters
 from valve_sim.model.runs import Directions, Run
 from valve_sim.model.simulation import commands_of
-
-
-@pytest.mark.parametrize("kind", ["random", "flux", "release", "one plunger", "gas"])
-@pytest.mark.parametrize("seed", [*range(5), *(pytest.param(seed, marks=pytest.mark.long) for seed in range(5, 40))])
-def test_a_live_valve_is_the_whole_run_to_the_last_bit(kind: str, seed: int) -> None:
-    valve, drive, times = drawn(kind, seed)
-    whole = simulate(valve, drive, times)
-    random = np.random.default_rng(seed)
-    stepper, events, command = Stepper(valve, float(min(drive.times[0], times[0]))), [], 0
-    shown = []
-    for time in times.tolist():
-        while command < len(drive.times) and drive.times[command] < time:
-            stepper.command(float(drive.times[command]), float(drive.volts[command]))
-            command += 1
-        last = float(stepper._live.block[0])
-        for look in sorted(random.uniform(min(last, time), time, 2)):
-            events += stepper.advance(max(look, drive.times[command - 1] if command else look)).events
-        reading = stepper.advance(time)
-        events += reading.events
-        shown.append((
-            reading.pilot_position, reading.main_position, reading.pilot_velocity, reading.coil_current,
-            reading.attraction, reading.phase, reading.coil_voltage, reading.outlet_pressure, reading.mass_flow,
-        ))  # fmt: skip
-    expected = (
-        whole.pilot_position, whole.main_position, whole.pilot_velocity, whole.coil_current, whole.attraction,
-        whole.phase, whole.coil_voltage, whole.outlet_pressure, whole.mass_flow,
-    )  # fmt: skip
-    for column, values in zip(np.array(shown).T, expected, strict=True):
-        assert np.array_equal(column, np.full(len(times), np.nan) if values is None else values, equal_nan=True)
-    assert tuple(events) == whole.events
 
 
 @settings(max_examples=30)
