@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from model.core.cases import CALIBRATED, STROKE
+from model.core.cases import CALIBRATED, STROKE, drawn
 from valve_sim.model import TOLERANCE, Stepper, Valve, simulate
 from valve_sim.model.core_types import Phase
 from valve_sim.model.errors import SimulationError
