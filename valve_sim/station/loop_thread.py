@@ -67,4 +67,7 @@ class LoopThread:
             return False
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join(timeout)
-        return not self._thread.is_alive()
+        if self._thread.is_alive():
+            return False
+        self._loop.close()
+        return True
