@@ -67,7 +67,4 @@ class LoopThread:
             return False
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join(timeout)
-        if self._thread.is_alive():
-            return False
-        self._loop.close()
-        return True
+        return not self._thread.is_alive()
