@@ -7,12 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from model.core.cases import CALIBRATED, STROKE
+from model.core.cases import CALIBRATED, STROKE, drawn
 from valve_sim.model import TOLERANCE, Stepper, Valve, simulate
 from valve_sim.model.core_types import Phase
 from valve_sim.model.errors import SimulationError
 from valve_sim.model.live import Live
 from valve_sim.model.parameters import ValveParameters
+from valve_sim.model.runs import Directions, Run
+from valve_sim.model.simulation import commands_of
 
 
 @settings(max_examples=30)
@@ -57,3 +59,20 @@ def test_a_gap_outside_the_stroke_is_refused_and_changes_nothing() -> None:
     with pytest.raises(SimulationError, match="not inside"):
         stepper.set_valve(Valve(ValveParameters(pilot_gap=2e-3)), 1e-3)
     assert stepper.valve is CALIBRATED and stepper.advance(2e-3).phase is Phase.CLOSED
+
+
+@settings(max_examples=20)
+@given(cuts=st.lists(st.floats(0.0, 0.03), max_size=6).map(sorted), seed=st.integers(0, 20))
+def test_a_run_in_pieces_is_the_whole_run_with_its_derivatives(cuts: list[float], seed: int) -> None:
+    valve, drive, times = drawn("random", seed)
+    names = ["a0", "main_damping", "stroke"]
+    along, commands = Directions.of(valve, drive, names), commands_of(drive)
+    whole = Run(valve, 0.0, directions=along).piece(commands, 0.031, times[times <= 0.031], times[times <= 0.031])
+    run, found, begun = Run(valve, 0.0, directions=along), list[np.ndarray](), 0.0
+    for cut in [*cuts, 0.031]:
+        own, due = (times >= begun) & (times < cut), commands[(commands[:, 0] >= begun) & (commands[:, 0] < cut)]
+        part = run.piece(due, cut, times[own], times[own])
+        found.append(np.column_stack([part.positions, part.of_positions, part.currents, part.of_currents]))
+        begun = cut
+    expected = np.column_stack([whole.positions, whole.of_positions, whole.currents, whole.of_currents])
+    assert np.array_equal(np.concatenate(found), expected)
