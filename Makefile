@@ -1,7 +1,7 @@
 # make run        sets up what is missing and shows a valve at work on ROS 2 topics
 # make shell      opens a shell in which valve-sim and the nodes are found
 # make test       checks and tests, in ten minutes on two cores
-# make test-long  the long tests: fuzzing, faults, a fleet, printed commands, ROS 2 Kilted, a slice of the campaign
+# make test-long  the long tests: documentation, fuzzing, faults, a fleet, printed commands, ROS 2 Kilted, a slice of the campaign
 # make golden     writes test/golden anew: what is said of the shipped recordings; read the diff
 # make docs       builds the documentation: build/docs/index.html
 #
@@ -56,12 +56,12 @@ shell: $(ENVIRONMENT)/.warm
 
 test: $(ENVIRONMENT)/.ready-to-test
 	@echo "$(PARTS_ARE)"
-	@$(PARTS) nodes lint types layers docs tests
+	@$(PARTS) nodes lint types layers tests
 
 test-long: $(ENVIRONMENT)/.ready-to-test $(KILTED:%=.venv-%/.ready-to-test)
 	-@$(MAKE) --silent --no-print-directory $(ENVIRONMENT)/.warm-with-gas $(KILTED:%=.venv-%/.warm)
 	@echo "$(PARTS_ARE)"
-	@$(PARTS) long-nodes long-tests $(KILTED) campaign
+	@$(PARTS) long-nodes docs long-tests $(KILTED) campaign
 
 nodes tests long-nodes long-tests campaign: compiled
 kilted: .venv-kilted/.warm

@@ -52,7 +52,6 @@ GROUPS: Final[dict[str, tuple[Benchmark, ...]]] = {
         Benchmark("campaign", "", "up to 2 minutes a case, 4 a seed", "--only outlet_none,outlet_single"),
         Benchmark("campaign", "", "minutes", "--only mistake --seeds 1"),
     ),
-    "Recordings of others": (Benchmark("real_recordings", "the published measurements", "minutes"),),
     "Machines of plant files": (
         Benchmark("campaign", "", "up to 10 s a case, 200 a seed", "--only actuator --seeds 1"),
     ),
@@ -60,7 +59,6 @@ GROUPS: Final[dict[str, tuple[Benchmark, ...]]] = {
         Benchmark("monitoring", "", "hours", "healthy growth --strokes 10000 --seeds 10"),
         Benchmark("monitoring", "", "hours", "laboratory --strokes 3340"),
         Benchmark("monitoring", "", "half an hour", "coil gas --seeds 12"),
-        Benchmark("monitoring", "", "an hour", "sweep"),
     ),
     "Nodes": (
         Benchmark("nodes.timing", f"{ROS}, a quiet machine", "minutes"),

@@ -42,6 +42,11 @@ def share(value: float, of_it: float) -> Entry:
     return Entry(value, of_it * abs(value))
 
 
+def residual(value: float, of_it: float = 0.005) -> Entry:
+    """A residual may change by a share of itself, and by 1 nm, where nothing but rounding is left."""
+    return Entry(value, max(of_it * value, 1e-9))
+
+
 def estimates(intervals: Mapping[str, Interval]) -> Iterator[tuple[str, Entry]]:
     """Values may change by a fifth of their standard errors, these by a tenth."""
     for name, own in intervals.items():
@@ -74,8 +79,8 @@ def identify(name: str) -> Iterator[tuple[str, Entry]]:
     """What `valve-sim identify` says: dampings, residuals, and declared values that are off."""
     found = identified(name)
     yield from estimates(found.intervals)
-    yield "residual as declared", share(found.rmse_before, 0.01)
-    yield "residual refitted", share(found.rmse_after, 0.005)
+    yield "residual as declared", residual(found.rmse_before, 0.01)
+    yield "residual refitted", residual(found.rmse_after)
     yield "findings", Entry([type(finding).__name__ for finding in found.findings])
 
 
@@ -89,10 +94,10 @@ def diagnose(name: str) -> Iterator[tuple[str, Entry]]:
     yield "probability", Entry(verdict.probability, 0.01)
     yield "probability of something unnamed", Entry(verdict.unnamed, 0.01)
     yield from estimates(found.after.intervals)
-    yield "residual before", share(found.before.train_rmse, 0.005)
-    yield "residual after", share(found.after.train_rmse, 0.005)
+    yield "residual before", residual(found.before.train_rmse)
+    yield "residual after", residual(found.after.train_rmse)
     if found.after.holdout is not None:
-        yield "residual after, held out", share(found.after.holdout_rmse, 0.005)
+        yield "residual after, held out", residual(found.after.holdout_rmse)
         yield "held-out gain", Entry(found.held_out_gain, 1.0)
 
 

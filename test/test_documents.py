@@ -45,9 +45,9 @@ WITHOUT_ROS = ("docs/tutorials/first_diagnosis.md", "docs/tutorials/own_oscillos
 
 NOT_HERE = {
     "make run": "test_demo.py runs what it runs",
-    "make shell": "test_invocation.py types into one",
+    "make shell": "opens a shell for people",
     "make test": "is what runs this test",
-    "make docs": "make test builds them, too",
+    "make docs": "make test-long builds them, too",
     "rosdep install": "CI has neither rosdep nor colcon; test_packaging.py compares what would be installed",
     "python3 -m venv": "belongs to it",
     "venv/bin/": "belongs to it",
@@ -189,6 +189,9 @@ def test_the_tutorial_of_an_own_valve_says_what_happens(terminal: tuple[Path, di
     assert fitted["rmse_um"]["after"] == pytest.approx(2.3, abs=0.05)
     for words in ("voltage: {column: CH1, unit: V}", "scale: 10, say", "8 steps of the measured voltage", "\npassed\n"):
         assert words in told
+    page = (ROOT / "docs" / "tutorials" / "own_oscilloscope.md").read_text(encoding="utf-8")
+    (said,), (found,) = re.findall(r"tolerance is\s+([\d.]+) µm", page), re.findall(r": within ([\d.]+) µm", told)
+    assert float(said) == round(float(found), 1)
 
 
 def test_the_page_of_the_current_alone_works_as_printed(terminal: tuple[Path, dict[str, str]]) -> None:
@@ -239,14 +242,3 @@ def test_nothing_is_left_out_that_the_documents_do_not_have() -> None:
     assert len(every) > 20
     for words in NOT_HERE:
         assert any(command.startswith(words) for command in every), f"{words} is in no document"
-
-
-@pytest.mark.parametrize("path", sorted((ROOT / "docs").rglob("*.md")), ids=lambda path: str(path.relative_to(ROOT)))
-def test_what_is_copied_from_a_page_carries_no_prompt_of_a_second_line(path: Path) -> None:
-    lines = [line for block in console_blocks(path.read_text(encoding="utf-8")) for line in block]
-    assert [line for line in lines if line.startswith("> ")] == []
-
-
-def test_lines_that_belong_to_a_command_are_typed_with_it() -> None:
-    block = ["$ cat > a <<END", "$ not a command", "END", "$ b \\", "    c", "printed", "$ d"]
-    assert list(commands(block)) == ["cat > a <<END\n$ not a command\nEND", "b \\\n    c", "d"]

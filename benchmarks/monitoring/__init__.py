@@ -14,8 +14,6 @@ healthy strokes, the declared rate within their 95 % interval, friction named in
 coil: by the coil's current alone, 5 kHz with 1 mA of noise: healthy strokes, and friction that grows over 20 strokes.
 gas: a leak or a clogged pilot orifice that begins in service, seen by the positions alone: is it named, and does its
 95 % interval hold the truth?
-sweep: each effect and each declared value changes by so many of its reported limits, at 500 Hz and 1 kHz. Wanted: an
-alarm within 5 strokes of whatever exceeds three limits, at most one in 2,000 healthy strokes.
 
 Exit code 1 where a figure falls short. Needs no ROS.
 """

@@ -7,7 +7,6 @@ import sys
 from benchmarks.common import add_jobs, add_seeds, parser
 from benchmarks.monitoring import __doc__ as words_of_all
 from benchmarks.monitoring.families import PARTS
-from benchmarks.monitoring.sweep import TANKS
 
 
 def main() -> int:
@@ -20,10 +19,6 @@ def main() -> int:
     add_seeds(known)
     add_jobs(known)
     known.add_argument("--rates", type=float, nargs="*", default=(500.0, 1000.0, 2000.0), help="Hz, of a laboratory")
-    known.add_argument("--limits", type=float, default=3.3, help="sweep: size of each change, in reported limits")
-    known.add_argument("--tanks", nargs="*", default=TANKS, help="sweep: which")
-    known.add_argument("--only", default="", help="sweep: changes whose name has this in it")
-    known.add_argument("--no-names", action="store_true", help="sweep: alarms only")
     options = known.parse_args()
     return 0 if all([PARTS[name](options) for name in options.parts]) else 1
 

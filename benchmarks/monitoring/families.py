@@ -16,7 +16,6 @@ from scipy.stats import chi2
 
 from benchmarks.common import mapped, say
 from benchmarks.monitoring.rigs import CoilRig, GasRig, Healthy, Isolated, Rig, drawn_rig, rising, watch, watch_healthy
-from benchmarks.monitoring.sweep import sweep
 from valve_sim.identification.monitoring.settings import MonitorSettings
 
 NAMED: Final = 0.9
@@ -215,5 +214,4 @@ PARTS: Final[Mapping[str, Part]] = {
     "laboratory": lambda options: each_of([own for rate in options.rates for own in in_laboratory(rate)])(options),
     "coil": each_of(COIL),
     "gas": gas,
-    "sweep": sweep,
 }

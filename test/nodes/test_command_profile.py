@@ -41,12 +41,12 @@ def valve(in_own_domain: None, tmp_path_factory: pytest.TempPathFactory) -> Iter
 
 
 def commanding(
-    folder: Path, rows: str, **parameters: object
+    folder: Path, rows: str, remapped: tuple[str, ...] = (), **parameters: object
 ) -> contextlib.AbstractContextManager[subprocess.Popen[str]]:
     """command_profile while inside."""
     (folder / "profile.yaml").write_text(rows)
     given = {"profile": folder / "profile.yaml", "output": folder / "commanded.csv", **parameters}
-    return piped(folder, ("-m", "valve_sim.nodes", "command_profile"), **given)
+    return piped(folder, ("-m", "valve_sim.nodes", "command_profile"), remapped, **given)
 
 
 def stamps_of(heard: list[Any]) -> list[int]:
@@ -90,7 +90,7 @@ def hear_all(valve: Probe) -> tuple[list[Any], list[Any]]:
     return volts, valve.hear("/command_profile/commanded", BatteryState, latched=True)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)])
 def test_a_signal_switches_the_coil_off(valve: Probe, tmp_path: Path, number: signal.Signals) -> None:
     volts = valve.hear("coil_voltage", Float64)
     log = valve.hear("/command_profile/commanded", BatteryState, latched=True)
@@ -106,6 +106,7 @@ def test_a_signal_switches_the_coil_off(valve: Probe, tmp_path: Path, number: si
     assert len((tmp_path / "commanded.csv").read_text().splitlines()) == 3
 
 
+@pytest.mark.long
 def test_a_valve_that_goes_away_breaks_it_off_with_the_coil_off(valve: Probe, tmp_path: Path) -> None:
     with running(tmp_path, ["--ros-args", "-r", "__node:=another", "-p", "publish_rate:=100.0"]) as node:
         another = Probe("/another")
@@ -134,6 +135,23 @@ def test_who_only_listens_is_no_valve_nothing_is_commanded_and_no_file_left(valv
         pytest.fail(said)
     assert not volts
     assert not (tmp_path / "commanded.csv").exists()
+
+
+@pytest.mark.any_distribution
+def test_the_driver_of_a_coil_is_commanded_whatever_its_name_and_that_of_its_topic(
+    valve: Probe, tmp_path: Path
+) -> None:
+    volts = valve.hear("/driver/set_voltage", Float64)  # by this process, whose node is called /probe
+    with commanding(
+        tmp_path,
+        "[[0.1, 9.0], [0.2, 0.0]]",
+        ("-r", "/valve/coil_voltage:=/driver/set_voltage"),
+        listener="/probe",
+        patience=PATIENCE,
+    ) as process:
+        assert valve.until(lambda: process.poll() is not None, PATIENCE)
+        ended(process)
+    assert [message.data for message in volts] == [9.0, 0.0]
 
 
 def test_the_valve_holds_no_voltage_after_all_of_this(valve: Probe) -> None:

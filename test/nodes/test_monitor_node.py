@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from identification.live_strokes import LiveValve
 
-from nodes.ros import DiagnosticArray, Float64, JointState, String, Trigger
+from nodes.ros import DiagnosticArray, Float64, JointState, QoSProfile, ReliabilityPolicy, String, Trigger
 from valve_sim.nodes.messages import pilot_position, stamp_of
 
 from .plant_on_topics import PlantOnTopics
@@ -76,7 +76,9 @@ class Ears:
 
 @pytest.mark.any_distribution
 def test_a_driver_of_the_labs_own_sensor_is_heard_in_metres(probe: Probe, tmp_path: Path) -> None:
-    heard, lvdt = probe.hear("measured/joint_states", JointState), probe.talker("/lab/lvdt", Float64)
+    heard, lvdt = list[JointState](), probe.talker("/lab/lvdt", Float64)
+    best_effort = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+    probe.node.create_subscription(JointState, "/valve/measured/joint_states", heard.append, best_effort)
     with piped(tmp_path, [str(ROOT / "docs" / "examples" / "sensor_driver.py")]) as process:
         before = time.time_ns()
         assert probe.until(lambda: lvdt.publish(Float64(data=11.5)) is None and probe.until(lambda: heard, 0.05))
@@ -134,7 +136,7 @@ def test_friction_that_appears_in_a_real_valve_is_warned_of_and_named(probe: Pro
 @pytest.mark.any_distribution
 def test_what_commissioning_found_survives_a_restart_until_it_is_asked_for_anew(probe: Probe, tmp_path: Path) -> None:
     state = tmp_path / "kept" / "tank.json"
-    plant = PlantOnTopics(probe, LiveValve(seed=5, rate=1e3, jitter=0.0))
+    plant = PlantOnTopics(probe, LiveValve(seed=5, rate=500.0, jitter=0.0))
     numbers = probe.hear("/monitor/stroke_diagnostics", DiagnosticArray)
     given = {"measured": "measured/joint_states", "use_sim_time": True, "max_rate": 1e5, "state": state, **EXACT}
     with monitoring(tmp_path, **given) as process:
@@ -187,6 +189,7 @@ def test_a_stuck_valve_is_an_error(valve: None, probe: Probe, tmp_path: Path) ->
     assert probe.set_parameters(valve__seat_load=own)[0].successful
 
 
+@pytest.mark.long
 @pytest.mark.any_distribution
 def test_with_the_topic_of_the_coil_a_valve_is_watched_by_its_current_alone(
     valve: None, probe: Probe, tmp_path: Path
@@ -203,10 +206,21 @@ def test_with_the_topic_of_the_coil_a_valve_is_watched_by_its_current_alone(
 
 
 @pytest.mark.any_distribution
-def test_bad_samples_are_counted_and_harm_nothing(probe: Probe, tmp_path: Path) -> None:
+def test_bad_samples_are_counted_and_those_of_an_old_recording_warned_of(probe: Probe, tmp_path: Path) -> None:
     ears = Ears(probe)
     samples = probe.talker("measured/joint_states", JointState)
-    with monitoring(tmp_path, measured="measured/joint_states"):
+    old = 1_709_390_268
+
+    def play() -> bool:
+        """As `ros2 bag play` does without --clock."""
+        message = joints(["pilot_plunger"], [0.0])
+        message.header.stamp.sec = old
+        samples.publish(message)
+        ears.voltage.publish(Float64(data=9.0))
+        probe.spin_for(0.01)
+        return ears.is_said("input", 1, "/valve/measured/joint_states is stamped")
+
+    with monitoring(tmp_path, measured="measured/joint_states") as process:
         assert probe.until(lambda: samples.get_subscription_count() == 1)
         # The monitor takes sensors of any reliability: what comes before it has found this publisher is lost.
         assert probe.insist(
@@ -220,6 +234,10 @@ def test_bad_samples_are_counted_and_harm_nothing(probe: Probe, tmp_path: Path) 
         samples.publish(joints(["main_plunger", "pilot_plunger"], [0.0, 1e-6]))
         assert probe.until(lambda: sum(ears.input_counts()) == heard + 4), "a message was not counted"
         assert ears.input_counts() == (heard + 1, 3)
+        assert probe.until(play)
+        assert ears.is_said("input", 1, f"stamped {(time.time() - old) / 86_400:.0f} days behind this node's clock")
+        said = ended(process, signal.SIGINT)
+    assert "use_sim_time:=true, ros2 bag play --clock" in said
 
 
 def joints(names: list[str], positions: list[float]) -> JointState:

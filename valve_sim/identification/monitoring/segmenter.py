@@ -56,6 +56,8 @@ LONGEST_GAP: Final = 60.0
 """s without samples, after which the model is not stepped on but begins at rest."""
 TAIL: Final = 3.0
 """Multiple of the recent delays that one delay in many thousands exceeds."""
+LONGEST_DELAY: Final = 1.0
+"""s: a valve that closes later than this is not one whose command came late."""
 STILL_AFTER: Final = 0.01
 """s after it was last seen open: the remaining motion is below the noise."""
 CONFIRMED: Final = 5
@@ -70,10 +72,6 @@ class StrokeSegmenter:
     Times are seconds since any fixed moment. Samples come in the order of their times, and so do commands. Where no
     position comes, those of the coil's current are the samples; where the valve is then only the model says, so that
     neither opening nor closing is judged here, see `held_valve`.
-
-    Args:
-        valve: the declared valve.
-        settings: of the monitor.
     """
 
     def __init__(self, valve: Valve, settings: MonitorSettings) -> None:
@@ -112,12 +110,17 @@ class StrokeSegmenter:
         """
         return TAIL * (EXTREME_SIGMAS * self.scatter + max(self._arrivals.spread, self._heard.spread))
 
+    @property
+    def _longest_wait(self) -> float:
+        """Seconds beyond `patience` before a valve is said not to follow: as long as it has ever been late."""
+        return max(self.uncertainty, TAIL * self._latest)
+
     def reset(self) -> None:
         """Start again, as after a jump of the clock: with a valve at rest."""
         self.fault: Fault | None = None
         """None where there is none. Stays until a stroke without a fault."""
         self._arrivals, self._heard = ArrivalSpread(), HeardCommands()
-        self._missed = 0
+        self._missed, self._latest = 0, 0.0
         self._stepper: Stepper | None = None
         self._stepped = -math.inf
         self._volts = math.nan
@@ -303,10 +306,13 @@ class StrokeSegmenter:
         return self._settings.settle + self.uncertainty / TAIL
 
     def _observe(self, time: float, position: float, highest: float, reading: Reading) -> None:
-        self._last, self._position = time, position
+        last, self._last, self._position = self._last, time, position
         self.line.note(time, reading.outlet_pressure)
         if not self._is_closed(highest):
             self._last_open = time
+        elif self._last_open == last > -math.inf and self._phase is Phase.CLOSED:
+            # It closes after the model had, as where its command came late.
+            self._latest = max(self._latest, min(time - self._phase_since, LONGEST_DELAY))
         is_still = abs(reading.pilot_velocity) <= STILL
         phase = Phase.CLOSED if is_still and self._is_closed(reading.pilot_position) else reading.phase
         if phase is not self._phase:
@@ -328,7 +334,7 @@ class StrokeSegmenter:
         if math.isnan(self._volts):
             return
         took, patience = self._phase_since - self._last_command, self._settings.patience
-        patience = max(patience, took if math.isfinite(took) else 0.0) + self.uncertainty
+        patience = max(patience, took if math.isfinite(took) else 0.0) + self._longest_wait
         if time - max(self._phase_since, self._last_command) <= patience:
             return
         stroke = self._stroke
@@ -418,6 +424,7 @@ class StrokeSegmenter:
     def _finish(self, stroke: StrokeInProgress, remark: Remark | None, until: float = math.inf) -> None:
         """Emit the stroke; its last samples at rest are also the first of the next one."""
         remark = remark or self._judge_late(stroke)
+        self._latest = max(self._latest, min(self._heard.spread, LONGEST_DELAY))
         if stroke.fault is None:
             self.fault = None
         # Later currents than the last position belong to the next stroke.
