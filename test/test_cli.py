@@ -515,7 +515,11 @@ def test_ctrl_c_at_any_time_is_one_line_and_exit_130(tmp_path: Path, after: floa
     """While modules load, and while a fit runs; the folder of the results has nothing half written."""
     script = Path(sys.executable).with_name("valve-sim")
     command = [str(script), "diagnose", str(BAGS / "friction"), "--output", str(tmp_path / "results")]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    handler = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job would ignore it
+    try:
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    finally:
+        signal.signal(signal.SIGINT, handler)
     time.sleep(after)
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=60)
