@@ -531,8 +531,7 @@ def test_ctrl_c_at_any_time_is_one_line_and_exit_130(tmp_path: Path, after: floa
         process = subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     finally:
         signal.signal(signal.SIGINT, handler)
-    assert process.stderr is not None and process.stderr.readline() == "loading
-"
+    assert process.stderr is not None and process.stderr.readline() == "loading\n"
     time.sleep(after)
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=60)
