@@ -18,20 +18,15 @@ SECOND = 1_000_000_000
 
 
 class Clockwork:
-    """A station's clock and the hand on its coils; a busy machine makes it slow and no worse.
+    """A station's clock and the hand on its coils, one probe for each valve; a busy machine makes it slow."""
 
-    Args:
-        probes: one for each valve; its monitor is beside it.
-        stroke: s of rest, of voltage, and without it again.
-    """
-
-    def __init__(self, probes: Sequence[Probe], stroke: tuple[float, float, float] = STROKE) -> None:
+    def __init__(self, probes: Sequence[Probe]) -> None:
         from rcl_interfaces.srv import GetParameters
         from rosgraph_msgs.msg import Clock
         from sensor_msgs.msg import JointState
         from std_msgs.msg import Float64, String
 
-        self._probe, self._stroke = probes[0], stroke
+        self._probe = probes[0]
         self._clock_type, self._float = Clock, Float64
         self._clock = self._probe.talker("/clock", Clock)
         self._now = 10 * SECOND
@@ -59,24 +54,12 @@ class Clockwork:
 
     def stroke(self) -> None:
         """One stroke of every valve."""
-        rest, on, off = self._stroke
+        rest, on, off = STROKE
         self._run(rest)
         self._command(9.0)
         self._run(on)
         self._command(0.0)
         self._run(off)
-
-    def reported_strokes(self, count: int) -> list[Any]:
-        """So many further strokes, and the first monitor's reports; the last stroke is reported when it has rested.
-
-        To commission, and to score a stroke with gas, takes longer than a stroke on a clock that may run fast.
-        """
-        expected = len(self._reports[0]) + count
-        for _ in range(count):
-            self.stroke()
-        self._run(self._stroke[0])
-        assert self._probe.until(lambda: all(len(told) >= expected for told in self._reports)), "no report"
-        return self.told(0)
 
     def commission(self, most: int) -> None:
         """Strokes, so many at most, until every monitor knows its healthy valve."""

@@ -25,13 +25,7 @@ BEFORE = -5.0
 
 
 class PlantOnTopics:
-    """A valve for monitor_node to watch, and ears for what it says.
-
-    Args:
-        probe: of the test.
-        valve: the plant with its sensor.
-        monitor: the monitor's full name.
-    """
+    """A valve for monitor_node to watch, and ears for what it says."""
 
     def __init__(self, probe: Probe, valve: LiveValve, monitor: str = "/monitor") -> None:
         from rosgraph_msgs.msg import Clock
@@ -81,11 +75,7 @@ class PlantOnTopics:
         return self.take_reports()
 
     def rest(self, count: int, seconds: float = 0.15) -> list[Any]:
-        """Rest closed, each sample answered: a stroke is over when its valve has rested.
-
-        Returns:
-            The reports that came meanwhile, once there have been `count` in all or patience has ended.
-        """
+        """Rest closed, each sample answered; the reports that came, once there have been `count` in all."""
         made = self._valve.rest(seconds)
         for start in range(0, len(made.times), CHUNK):
             self._send(made, start, min(start + CHUNK, len(made.times)))

@@ -58,17 +58,6 @@ def cpu_seconds(process: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def cpu_seconds_to_end(process: int, number: int) -> float:
-    """How much of the cores it uses from a signal to its end; it may have to wait for them as long as it takes."""
-    before = cpu_seconds(process)
-    os.kill(process, number)
-    deadline = time.monotonic() + PATIENCE
-    while os.waitid(os.P_PID, process, os.WEXITED | os.WNOWAIT | os.WNOHANG) is None:
-        assert time.monotonic() < deadline, "it does not end"
-        time.sleep(0.01)
-    return cpu_seconds(process) - before
-
-
 def end(process: subprocess.Popen[Any]) -> None:
     """Ask it to end, so that others learn that it has gone; kill it only if it does not."""
     if process.poll() is None:
@@ -102,15 +91,6 @@ class NodeProcess:
     def exit_code(self) -> int:
         """The exit code, once it has ended."""
         return self.process.wait(ENDS_WITHIN)
-
-    def seconds_to_end(self, number: int) -> float:
-        """How long it takes to end after a signal, were it alone here."""
-        before = slowness()
-        start = time.monotonic()
-        self.process.send_signal(number)
-        self.process.wait(PATIENCE)
-        seconds = time.monotonic() - start
-        return seconds / max(before, slowness())
 
 
 @contextlib.contextmanager
@@ -165,11 +145,7 @@ def piped(
 
 
 class Diagnostics:
-    """What nodes say on /diagnostics from now on.
-
-    Args:
-        probe: hears it. node: of whose statuses it is asked; the name without its first slash.
-    """
+    """What a node, by default the probe's target, says on /diagnostics from now on."""
 
     def __init__(self, probe: Probe, node: str = "") -> None:
         from diagnostic_msgs.msg import DiagnosticArray

@@ -92,8 +92,7 @@ def hear_all(valve: Probe) -> tuple[list[Any], list[Any]]:
 
 @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)])
 def test_a_signal_switches_the_coil_off(valve: Probe, tmp_path: Path, number: signal.Signals) -> None:
-    volts = valve.hear("coil_voltage", Float64)
-    log = valve.hear("/command_profile/commanded", BatteryState, latched=True)
+    volts, log = hear_all(valve)
     with commanding(tmp_path, ENDLESS, patience=PATIENCE) as process:
         assert valve.until(lambda: log or process.poll() is not None, 2 * PATIENCE)
         process.send_signal(number)

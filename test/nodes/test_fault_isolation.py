@@ -101,13 +101,3 @@ def test_a_valve_that_is_commissioned_anew_is_not_told_what_the_search_before_ha
         search.let_go.release()
         end(isolation)
     assert [found.occasion.stroke for found in told] == [7], "and the next search is wanted again"
-
-
-def test_a_search_that_reports_nothing_is_not_waited_for(search: Search) -> None:
-    isolation = FaultIsolation(lambda found, is_new: pytest.fail("told"))
-    begin(isolation, 1)
-    assert search.begun.acquire(timeout=PATIENCE)
-    assert not isolation.stop(0.01)
-    search.let_go.release()
-    assert isolation.stop(PATIENCE)
-    assert isolation.found is None

@@ -25,7 +25,7 @@ from valve_sim.identification.reporting.recording_profile import STROKE_LEVELS
 from valve_sim.traces import read_trace
 from valve_sim.traces.synthetic import read_profile
 
-from .ros_process import ENDS_WITHIN, PATIENCE, Diagnostics, Probe, ended, piped, running
+from .ros_process import PATIENCE, Diagnostics, Probe, ended, piped, running
 
 pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("ros")]
 TARGET = "/identification"
@@ -210,17 +210,3 @@ def test_a_diagnosis_is_published_too(probe: Probe, tmp_path: Path) -> None:
     assert load_valve(tmp_path / "corrected.yaml").parameters.stroke == 1.23e-3
     assert report["record_next"], "one stroke tells nothing apart"
     assert set(volts_at(default_valve(), STROKE_LEVELS)) <= set(read_profile(profile).volts)
-
-
-@pytest.mark.long
-@pytest.mark.any_distribution
-def test_a_loggers_table_is_identified_by_its_map(ros: None, tmp_path: Path) -> None:
-    trace = read_trace(BAGS / "one_opening.mcap")
-    volts = np.where(trace.times < trace.drive.times[0], 0.0, trace.drive.volts[0])
-    rows = np.column_stack([trace.times, volts, 1e3 * trace.pilot_position])
-    np.savetxt(tmp_path / "logger.csv", rows, delimiter=",", header="t,U,lift")
-    lab = tmp_path / "lab.yaml"
-    lab.write_text("time: t\ncommand: U\nposition: {column: lift, unit: mm}\n")
-    with identifying(tmp_path, bag=tmp_path / "logger.csv", map=lab, rate=0) as process:
-        assert process.wait(ENDS_WITHIN) == 0
-    assert (tmp_path / "identified.yaml").exists()

@@ -99,20 +99,6 @@ class Heard:
         assert self.inputs.inbox.deliver()
 
 
-def test_a_sample_is_taken_after_all_pressures_that_were_heard_before_it() -> None:
-    """One for each pass of an executor, they came to lag by minutes behind the samples of a line at 20 to 100 Hz."""
-    heard = Heard("joint_states")
-    for stamp in range(1, 101):
-        heard.put("outlet_pressure", 2e6 + stamp, stamp)
-    heard.put("demand_pressure", 14e6, 3)
-    heard.put("inlet_pressure", 26e6)  # without a stamp: when it was received
-    heard.sample()
-    assert heard.taken[:100] == [("outlet", stamp, 2e6 + stamp) for stamp in range(1, 101)]
-    assert set(heard.taken[100:102]) == {("end", "demand_pressure", 3, 14e6), ("end", "inlet_pressure", 77, 26e6)}
-    assert heard.taken[102:] == [("position", 5, 0.0, 77)]
-    assert heard.stamps == [("/valve/joint_states", 5, 77)]
-
-
 def test_what_a_simulated_valve_obeys_counts_in_place_of_what_it_is_told() -> None:
     heard = Heard("joint_states")
     heard.put("demand_pressure", 14e6, 1)

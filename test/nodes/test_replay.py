@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from valve_sim.files.parameter_files import default_valve, load_valve
+from valve_sim.files.parameter_files import load_valve
 from valve_sim.files.resources import config_path
 from valve_sim.model import Drive, ParameterError, simulate
 from valve_sim.nodes.diagnostics import Level
@@ -19,7 +19,6 @@ from valve_sim.nodes.identification_work import (
     fit_or_diagnose,
     measured_reading,
     measured_voltages,
-    predict,
     read_recording,
     replay_status,
     timeline,
@@ -91,7 +90,7 @@ def test_a_command_comes_before_the_sample_of_its_time() -> None:
     assert places.index(-2) == places.index(20) + 1 == places.index(21) - 1
 
 
-@pytest.mark.parametrize("rate", [1.0, 4.0, 0.1])
+@pytest.mark.parametrize("rate", [1.0, 0.1])
 def test_everything_is_played_at_its_own_time(rate: float) -> None:
     _, notes = play(FakeClock(), rate)
     samples = [(time, index) for time, kind, index in notes.played if kind == "sample"]
@@ -110,12 +109,6 @@ def test_lateness_does_not_accumulate_and_leaves_nothing_out() -> None:
     assert replay.timing.look(0).overruns == 4
 
 
-def test_rate_0_does_not_wait() -> None:
-    replay, notes = play(FakeClock(), 0.0)
-    assert {time for time, _, _ in notes.played} == {1_000}
-    assert len(notes.played) == replay.samples == 42
-
-
 def test_late_samples_are_a_warning_and_a_replay_as_fast_as_possible_is_never_late() -> None:
     clock = FakeClock(lambda deadline: 20 * MILLISECOND)
     replay, _ = play(clock, 1.0)
@@ -123,28 +116,11 @@ def test_late_samples_are_a_warning_and_a_replay_as_fast_as_possible_is_never_la
     status = replay_status(replay, clock.now, "declared")
     assert status.level is Level.WARN
     assert "late" in status.message
-    fast, _ = play(FakeClock(), 0.0)
+    fast, notes = play(FakeClock(), 0.0)
+    assert {time for time, _, _ in notes.played} == {1_000}
+    assert len(notes.played) == fast.samples == 42
     fast.is_done = False
     assert replay_status(fast, 0, "declared").level is Level.OK
-
-
-def test_the_ticks_of_a_slow_clock_are_no_lateness() -> None:
-    clock = FakeClock(lambda deadline: 25 * MILLISECOND - deadline % (25 * MILLISECOND), is_simulated=True)
-    replay, notes = play(clock, 1.0)
-    assert len(notes.played) == 42
-    replay.is_done = False
-    status = replay_status(replay, clock.now, "declared")
-    assert (status.level, status.values["lateness p99 (ms)"]) == (Level.OK, "0.000")
-
-
-def test_the_prediction_is_at_the_samples_and_knows_the_clock_offset() -> None:
-    valve = default_valve()
-    shown = predict(TRACE, valve, 0.0, "declared")
-    late = predict(TRACE, valve, 1e-3, "identify")
-    assert shown.response.pilot_position[11] == pytest.approx(valve.parameters.stroke)
-    assert late.response.pilot_position[10] == pytest.approx(shown.response.pilot_position[9], abs=1e-12)
-    assert measured_reading(TRACE, 3).time == 3e-3
-    assert np.isnan(measured_reading(TRACE, 3).main_position)
 
 
 def test_a_recording_of_the_current_alone_is_replayed_and_fitted(tmp_path: Path) -> None:

@@ -5,9 +5,8 @@ from __future__ import annotations
 import contextlib
 import signal
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import IO
 
 import pytest
 
@@ -58,25 +57,21 @@ def station(in_own_domain: None, tmp_path_factory: pytest.TempPathFactory) -> It
     rclpy.try_shutdown()
 
 
-def until_said(stream: IO[str], words: str) -> Iterator[str]:
-    """The lines of a stream, to the first one with these words."""
-    for line in stream:
-        yield line
-        if words in line:
-            return
-    raise AssertionError(f"never said: {words}")
-
-
-def sequencing(folder: Path, **parameters: object) -> contextlib.AbstractContextManager[subprocess.Popen[str]]:
-    """The sequencer while inside."""
-    return piped(folder, (str(SEQUENCER),), **parameters)
-
-
-def run(folder: Path, **parameters: object) -> tuple[int, str]:
-    """Exit code and stderr of a whole sequence."""
-    with sequencing(folder, **parameters) as process:
+def run(
+    folder: Path, then: Callable[[subprocess.Popen[str]], object] | None = None, **given: object
+) -> tuple[int, str]:
+    """Exit code and stderr of a whole sequence; `then` is called when the last valve is open."""
+    with piped(folder, (str(SEQUENCER),), **given) as process:
+        assert process.stderr is not None
+        said = ""
+        while then is not None and "tank_3/valve is open" not in said:
+            line = process.stderr.readline()
+            assert line, said
+            said += line
+        if then is not None:
+            then(process)
         _, words = process.communicate(timeout=ENDS_WITHIN)
-        return process.returncode, words
+        return process.returncode, said + words
 
 
 def refusal(folder: Path, limit: str, trouble: str, healthy: str, **parameters: object) -> str:
@@ -122,16 +117,11 @@ def test_a_valve_that_sticks_closes_all_and_is_named(station: list[Tank], tmp_pa
 
 @pytest.mark.long
 def test_a_valve_that_does_not_stay_open_closes_all_and_is_named(station: list[Tank], tmp_path: Path) -> None:
-    with sequencing(tmp_path, hold=1000.0, timeout=PATIENCE) as process:
-        last = station[-1]
-        assert process.stderr is not None
-        # The sequencer must have seen it open before it closes again.
-        said = list(until_said(process.stderr, "tank_3/valve is open"))
-        assert last.probe.set_parameters(max_voltage=1.0)[0].successful
-        _, words = process.communicate(timeout=ENDS_WITHIN)
-        words = "".join(said) + words
-    assert last.probe.set_parameters(max_voltage=30.0)[0].successful
-    assert process.returncode == 1
+    last = station[-1].probe
+    # The sequencer must have seen it open before it closes again.
+    code, words = run(tmp_path, lambda _: last.set_parameters(max_voltage=1.0), hold=1000.0, timeout=PATIENCE)
+    assert last.set_parameters(max_voltage=30.0)[0].successful
+    assert code == 1
     assert "sequencer: closed by itself: /tank_3/valve; all valves are commanded closed" in words.splitlines()
     assert all(tank.is_without_voltage() for tank in station)
 
@@ -148,11 +138,7 @@ def test_a_valve_that_is_missing_is_named_before_any_is_opened(station: list[Tan
 
 
 def test_a_signal_closes_all_and_is_named(station: list[Tank], tmp_path: Path) -> None:
-    with sequencing(tmp_path, hold=1000.0, timeout=PATIENCE) as process:
-        assert process.stderr is not None
-        said = list(until_said(process.stderr, "tank_3/valve is open"))
-        process.send_signal(signal.SIGTERM)
-        _, words = process.communicate(timeout=ENDS_WITHIN)
-    assert process.returncode == 1
-    assert "sequencer: interrupted; all valves are commanded closed" in ("".join(said) + words).splitlines()
+    code, words = run(tmp_path, lambda process: process.send_signal(signal.SIGTERM), hold=1000.0, timeout=PATIENCE)
+    assert code == 1
+    assert "sequencer: interrupted; all valves are commanded closed" in words.splitlines()
     assert all(tank.is_without_voltage() for tank in station)

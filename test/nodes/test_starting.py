@@ -44,8 +44,6 @@ def run(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     [
         ("valve_node", "numpy", 2, 0),
         ("command_profile", "numpy", 15, 1),
-        ("monitor_node", "rclpy", 2, 0),
-        ("command_profile", "valve_sim.nodes.profile", 15, 1),
         ("valve_node", "valve_sim.nodes.messages", 2, 0),
     ],
 )

@@ -42,13 +42,13 @@ def test_a_valve_that_was_killed_while_open_comes_back_closed_and_without_voltag
         assert {message.data for message in phases} == {0}
 
 
-@pytest.fixture
-def unit(tmp_path: Path) -> tuple[list[str], dict[str, str], configparser.SectionProxy]:
-    """The unit of the page: its command with folders that are here, the environment that systemd gives, the service."""
+def test_the_systemd_unit_starts_stops_with_code_0_and_leaves_to_a_person_what_a_person_must_correct(
+    tmp_path: Path,
+) -> None:
+    """The unit of the page: its command with folders that are here, and the environment that systemd gives."""
     page = (ROOT / "docs" / "how_to" / "station.md").read_text(encoding="utf-8")
-    (text,) = (block.partition("```")[0] for block in page.split("```ini\n")[1:])
     parser = configparser.ConfigParser(interpolation=None)
-    parser.read_string(text)
+    parser.read_string(page.partition("```ini\n")[2].partition("```")[0])
     service = parser["Service"]
     program = tmp_path / "install" / "valve_sim" / "lib" / "valve_sim" / "valve_node"
     program.parent.mkdir(parents=True)
@@ -58,25 +58,16 @@ def unit(tmp_path: Path) -> tuple[list[str], dict[str, str], configparser.Sectio
     setup = tmp_path / "install" / "setup.bash"
     setup.write_text("".join(f"export {name}={shlex.quote(str(value))}\n" for name, value in sourced.items()))
     environment = {"PATH": os.defpath, **({"HOME": str(Path.home())} if "User" in service else {})}
-    command = service["ExecStart"].replace("/opt/station", str(tmp_path)).replace("/etc/station", str(ROOT / "config"))
-    return shlex.split(command), environment, service
-
-
-def test_the_systemd_unit_starts_as_printed_and_stops_with_code_0(unit) -> None:
-    command, environment, _ = unit
-    with subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True) as process:
+    line = service["ExecStart"].replace("/opt/station", str(tmp_path)).replace("/etc/station", str(ROOT / "config"))
+    with subprocess.Popen(shlex.split(line), env=environment, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
         said = ""
-        for line in process.stderr:
-            said += line
-            if "ready: " in line:
+        for words in process.stderr:
+            said += words
+            if "ready: " in words:
                 process.send_signal(signal.SIGTERM)
-        assert "/tank_1/valve" in said, said
+    assert "/tank_1/valve" in said, said
     assert process.returncode == 0, said
-
-
-def test_the_systemd_unit_does_not_start_anew_what_a_person_must_correct(unit) -> None:
-    command, environment, service = unit
-    command[-1] = command[-1].replace("tank_1.yaml", "no_such.yaml")
-    code = subprocess.run(command, env=environment, check=False).returncode
+    wrong = shlex.split(line.replace("tank_1.yaml", "no_such.yaml"))
+    code = subprocess.run(wrong, env=environment, check=False).returncode
     assert str(code) == service["RestartPreventExitStatus"]

@@ -47,14 +47,6 @@ def test_the_first_reason_to_stop_counts_and_whoever_waits_later_need_not_wait()
     assert stop.why == "first"
 
 
-def test_whoever_waits_is_woken_by_another_thread() -> None:
-    stop = StopRequest()
-    asking = threading.Thread(target=stop.ask, args=("enough",))
-    asking.start()
-    assert stop.wait()
-    asking.join()
-
-
 @pytest.mark.parametrize("is_ending", [False, True])
 def test_what_goes_wrong_is_told_unless_the_thread_is_to_end_anyway(is_ending: bool) -> None:
     told: list[Exception] = []

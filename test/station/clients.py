@@ -63,11 +63,11 @@ class Served:
 
 
 class Identity:
-    """A client's certificate and key, as the files that clients of both makes want."""
+    """A client's certificate and key, as files."""
 
     def __init__(self, folder: Path, *, is_expired: bool = False) -> None:
         folder.mkdir(parents=True, exist_ok=True)
-        self.certificate, self.pem, self.key = folder / "client.der", folder / "client.pem", folder / "key.pem"
+        self.certificate, self.key = folder / "client.der", folder / "key.pem"
         key = cert_gen.generate_private_key()
         names: list[Any] = [x509.UniformResourceIdentifier(CLIENT_URI), x509.DNSName("localhost")]
         made = cert_gen.generate_self_signed_app_certificate(
@@ -81,7 +81,6 @@ class Identity:
             ).sign(key, hashes.SHA256())  # fmt: skip
         self.key.write_bytes(cert_gen.dump_private_key_as_pem(key))
         self.certificate.write_bytes(made.public_bytes(Encoding.DER))
-        self.pem.write_bytes(made.public_bytes(Encoding.PEM))
 
     def trusted_by(self, folder: Path, name: str = "operator") -> Identity:
         """Put the certificate where a person would."""

@@ -10,9 +10,6 @@ from typing import Any
 import pytest
 from nodes.ros_process import Probe, ended, piped
 
-from valve_sim.files.parameter_files import load_valve
-from valve_sim.model import EventKind, Stepper
-
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "docs" / "examples" / "dispenser.py"
 MEGA = 1e6
@@ -44,42 +41,6 @@ def test_tanks_open_in_rising_order_and_no_mass_is_lost(example: dict[str, Any])
         assert not dispenser.is_filling or dispenser.filled or mass(dispenser) == pytest.approx(before, rel=1e-12)
     assert opened[:4] == [1, 2, 0, 1] and dispenser.filled >= 1
     assert any("is full: 28." in words for words in said)
-
-
-def test_the_next_tank_is_opened_when_a_valve_stays_shut_and_it_ends_below_the_target(example: dict[str, Any]) -> None:
-    dispenser = example["Dispenser"](example["Sizes"](least_open=0.5))
-    assert dispenser.step(0.0, 0.05) == "" and dispenser.open is None, "no valve has been heard"
-    said = []
-    for k in range(60):
-        dispenser.outlets = [dispenser.line_pressure] * 3
-        said.append(dispenser.step(0.05 * k, 0.05))
-    assert [words.partition(",")[0] for words in said if words] == [
-        "opens /tank_1/valve", "opens /tank_2/valve", "opens /tank_3/valve", "no tank gives any more",
-    ]  # fmt: skip
-
-
-def test_the_valves_of_the_station_fill_a_vehicle(example: dict[str, Any]) -> None:
-    """The models of the three valves, which obey what is published to them: all open fully, from lowest to highest."""
-    dispenser = example["Dispenser"](example["Sizes"]())
-    steppers = [Stepper(load_valve(ROOT / "config" / f"gas_tank_{number}.yaml")) for number in (1, 2, 3)]
-    opened, was_open = [], None
-    for k in range(round(14.0 / 0.05)):
-        time = 0.05 * k
-        for valve, stepper in enumerate(steppers):
-            reading = stepper.advance(time)
-            dispenser.outlets[valve] = reading.outlet_pressure
-            opened += [valve for event in reading.events if event.kind is EventKind.REACHED_STOP]
-        dispenser.step(time, 0.05)
-        for valve, stepper in enumerate(steppers):
-            if (valve == dispenser.open) != (valve == was_open):
-                stepper.command(time, 9.0 if valve == dispenser.open else 0.0)
-            stepper.set_demand_pressure(time, dispenser.line_pressure)
-            stepper.supply(time, dispenser.tank_pressure(valve))
-        was_open = dispenser.open
-        if dispenser.filled:
-            break
-    assert (opened, dispenser.filled) == ([0, 1, 2], 1)
-    assert dispenser.vehicle_pressure == pytest.approx(28.0 * MEGA, rel=0.02)
 
 
 def test_it_fills_a_vehicle_and_ends_with_all_coils_off(probe: Probe, tmp_path: Path) -> None:

@@ -8,8 +8,7 @@ from datetime import datetime, timezone
 import pytest
 
 from valve_sim.model import ValveError
-from valve_sim.nodes.valve_parameters import unit_of
-from valve_sim.station.figures import BY_PATH, FIGURES, finding_report, stroke_report, unit_id, worst
+from valve_sim.station.figures import BY_PATH, FIGURES, finding_report, stroke_report, worst
 
 STROKE = {
     "schema": "valve_sim/stroke/1", "valve": "/tank_1/valve", "stroke": 31, "time": 1790000000.25, "state": "watching",
@@ -46,17 +45,6 @@ def test_a_finding_is_shown_with_effect_value_unit_and_probability() -> None:
     assert (values["Finding.Value"], values["Finding.StandardError"], values["Finding.Unit"]) == (0.31, 0.02, "N")
     assert values["Finding.Probability"] == 0.98
     assert values.keys() == {figure.path for figure in FIGURES if figure.group == "Finding"}
-    bare = {name: FINDING[name] for name in ("valve", "stroke", "time")}
-    unknown = finding_report("something", {**bare, "kind": "unknown", "effects": ""}).values
-    assert (unknown["Finding.Effect"], unknown["Finding.Value"]) == ("unknown", None)
-
-
-def test_units_are_those_of_the_models_tables_and_of_unece() -> None:
-    assert [unit_of(name) for name in ("spring_rate", "gas.outlet_volume", "drive_gain.gain", "nothing")] == [
-        "N/m", "m³", "", "",
-    ]  # fmt: skip
-    assert unit_id("s") == 5457219, "SEC, as OPC UA Part 8 derives it"
-    assert unit_id("furlong") == -1
 
 
 def changed(**values: object) -> str:

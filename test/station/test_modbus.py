@@ -1,10 +1,9 @@
-"""Modbus TCP against real peers: pymodbus's client and server, and libmodbus where it is installed."""
+"""Modbus TCP against real peers, pymodbus's client and server, and byte by byte."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import ctypes
 import os
 import random
 import socket
@@ -86,46 +85,6 @@ def pymodbus_client(port: int) -> tuple[Ask, Callable[[], None]]:
     return ask, client.close
 
 
-def libmodbus_client(port: int) -> tuple[Ask, Callable[[], None]]:
-    try:
-        library = ctypes.CDLL("libmodbus.so.5", use_errno=True)
-    except OSError:
-        pytest.skip("libmodbus, a client of another make, is not installed: apt install libmodbus5")
-    library.modbus_new_tcp.restype = ctypes.c_void_p
-    context = ctypes.c_void_p(library.modbus_new_tcp(b"127.0.0.1", port))
-    library.modbus_set_response_timeout(context, 10, 0)
-    assert library.modbus_connect(context) == 0
-
-    def ask(function: int, first: int, count: int, values: Sequence[int]) -> Answer:
-        written, read = (ctypes.c_uint16 * len(values))(*values), (ctypes.c_uint16 * count)()
-        bits, read_bits = (ctypes.c_uint8 * len(values))(*(value % 2 for value in values)), (ctypes.c_uint8 * count)()
-        send: dict[int, Callable[[], int]] = {
-            1: lambda: library.modbus_read_bits(context, first, count, read_bits),
-            2: lambda: library.modbus_read_input_bits(context, first, count, read_bits),
-            3: lambda: library.modbus_read_registers(context, first, count, read),
-            4: lambda: library.modbus_read_input_registers(context, first, count, read),
-            5: lambda: library.modbus_write_bit(context, first, values[0] % 2),
-            6: lambda: library.modbus_write_register(context, first, values[0]),
-            15: lambda: library.modbus_write_bits(context, first, len(values), bits),
-            16: lambda: library.modbus_write_registers(context, first, len(values), written),
-            23: lambda: library.modbus_write_and_read_registers(
-                context, first, len(values), written, first, count, read
-            ),
-        }
-        if send[function]() >= 0:
-            return list(read) if function in (3, 4) else list(values)
-        return ctypes.get_errno() - 112345678  # MODBUS_ENOBASE
-
-    def close() -> None:
-        library.modbus_close(context)
-        library.modbus_free(context)
-
-    return ask, close
-
-
-CLIENTS = pytest.mark.parametrize("make", [pymodbus_client, libmodbus_client], ids=["pymodbus", "libmodbus"])
-
-
 class Map:
     """What two valves' registers hold and answer, written from docs/reference/modbus.md and how_to/plc.md alone."""
 
@@ -188,12 +147,9 @@ def request(source: random.Random) -> tuple[int, int, int, list[int]]:
     return function, first, count, [source.choice((0, 0, 1, 1, 2, source.randrange(65536))) for _ in range(length)]
 
 
-@CLIENTS
 @pytest.mark.parametrize("count", [500, pytest.param(10_000, marks=pytest.mark.long)])
-def test_the_state_and_the_answer_to_any_request_agree(
-    served: Served, make: Callable[[int], tuple[Ask, Callable[[], None]]], count: int
-) -> None:
-    ask, close = make(served.port)
+def test_the_state_and_the_answer_to_any_request_agree(served: Served, count: int) -> None:
+    ask, close = pymodbus_client(served.port)
     source, registers, energised = random.Random(count), Map(), 0
     for _ in range(count):
         served.now += source.choice((0.0, 0.01, 0.02, 0.1, 0.7))
@@ -247,11 +203,8 @@ def test_an_answer_is_what_the_specification_says_to_the_byte() -> None:
     assert server.answer(struct.pack(">BHH", 4, 0, 2)) == struct.pack(">BB2H", 4, 4, 7, 0)
 
 
-@CLIENTS
-def test_a_plc_that_falls_silent_is_seen_by_the_clock_alone(
-    served: Served, make: Callable[[int], tuple[Ask, Callable[[], None]]]
-) -> None:
-    ask, close = make(served.port)
+def test_a_plc_that_falls_silent_is_seen_by_the_clock_alone(served: Served) -> None:
+    ask, close = pymodbus_client(served.port)
 
     def bits(*written: int) -> int:
         ask(16, 0, 2, written)

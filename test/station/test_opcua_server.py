@@ -1,13 +1,9 @@
-"""The OPC UA server as clients in other processes see it: asyncua's, and node-opcua where it is installed."""
+"""The OPC UA server as asyncua's client in another process sees it."""
 
 from __future__ import annotations
 
 import asyncio
-import json
-import os
-import shutil
 import socket
-import subprocess
 from collections.abc import Iterator
 from datetime import datetime, timezone
 from pathlib import Path
@@ -15,7 +11,7 @@ from pathlib import Path
 import pytest
 from nodes.ros_process import free_port
 
-from station.clients import CLIENT_URI, Identity, Noted, Served, connected, place
+from station.clients import Identity, Noted, Served, connected, place
 
 from asyncua import ua  # isort: skip
 from asyncua.client.ua_client import UaClient
@@ -101,8 +97,11 @@ def test_browse_subscribe_alarm_acknowledge_history_method(served: Served, tmp_p
 
 def test_a_client_connects_once_its_certificate_is_trusted(served: Served, tmp_path: Path) -> None:
     stranger = Identity(tmp_path / "stranger")
+    expired = Identity(tmp_path / "expired", is_expired=True).trusted_by(served.folder, "expired")
 
     async def try_all() -> None:
+        with pytest.raises(ua.uaerrors.BadCertificateTimeInvalid):
+            await connected(served.endpoint, expired)
         with pytest.raises(ua.UaError):
             await connected(served.endpoint)  # without encryption
         with pytest.raises(ua.uaerrors.BadCertificateUntrusted):
@@ -137,12 +136,6 @@ def test_a_stranger_who_leaves_its_certificate_out_of_the_session_is_refused(
     for identity in (Identity(tmp_path / "stranger"), friend):  # the folder has changed since it was read last
         with pytest.raises(ua.uaerrors.BadUserAccessDenied):
             asyncio.run(connected(served.endpoint, identity))
-
-
-def test_a_certificate_that_is_out_of_date_is_refused(served: Served, tmp_path: Path) -> None:
-    expired = Identity(tmp_path / "expired", is_expired=True).trusted_by(served.folder, "expired")
-    with pytest.raises(ua.uaerrors.BadCertificateTimeInvalid):
-        asyncio.run(connected(served.endpoint, expired))
 
 
 def test_anonymous_clients_read_where_they_may_and_change_nothing(tmp_path: Path) -> None:
@@ -230,41 +223,3 @@ def test_files_that_cannot_be_used_end_the_start_with_one_line(tmp_path: Path) -
         asyncio.run(start(folder, free_port()))
     with socket.create_server(("127.0.0.1", 0)) as taken, pytest.raises(ValveError, match="cannot be listened on"):
         asyncio.run(start(tmp_path / "other", taken.getsockname()[1]))
-
-
-def test_a_client_of_another_make_does_all_of_it(served: Served, tmp_path: Path) -> None:
-    node = shutil.which("node")
-    if node is None:
-        pytest.skip("Node.js, which runs node-opcua, is not installed")
-    probe = subprocess.run([node, "-e", "require('node-opcua-client')"], capture_output=True, check=False)
-    if probe.returncode:
-        pytest.skip(
-            "node-opcua-client is not installed: npm install node-opcua-client, and name the folder in NODE_PATH"
-        )
-    identity = Identity(tmp_path / "client").trusted_by(served.folder)
-    script = Path(__file__).with_name("other_make.js")
-    arguments = [served.endpoint, str(identity.pem), str(identity.key), str(tmp_path / "pki"), CLIENT_URI]
-    served.put("/tank_2/valve", NOW, Stroke__T1=5.3e-3)
-    client = subprocess.Popen(
-        [node, str(script), *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ
-    )
-    assert client.stdout is not None and client.stderr is not None
-    lines = iter(client.stdout.readline, "")
-    for line in lines:
-        if line.strip() == "subscribed":
-            break
-    served.put("/tank_2/valve", NOW + 1.0, Stroke__T1=5.4e-3, Health__Level=2, Health__Message="did not open")
-    found = [json.loads(line) for line in lines if line.startswith("{")]
-    assert client.wait() == 0, client.stderr.read()
-    (seen,) = found
-    assert {"Health", "Stroke", "Finding", "Alarm", "Recommission"} <= set(seen["children"])
-    assert seen["unit"] == 5457219
-    assert seen["events"] == [
-        {"active": True, "acknowledged": False, "severity": 800},
-        {"active": True, "acknowledged": True, "severity": 800},
-    ]
-    assert (seen["acknowledge"], seen["again"]) == ("Good", "BadConditionBranchAlreadyAcked")
-    assert seen["values"][-1] == 5.4e-3
-    assert [value for value, _ in seen["history"]] == [5.3e-3, 5.4e-3]
-    assert seen["history"][0][1] == "2026-09-21T14:13:20.500Z"
-    assert seen["called"][0] is True
