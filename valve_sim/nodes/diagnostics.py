@@ -61,11 +61,7 @@ def timing_status(timing: Timing, rate_wanted: float, waiting_for: str) -> Statu
 
 
 class RejectionCount:
-    """Counts commands, or pressures, that are ignored; one thread counts, another looks.
-
-    Attributes:
-        rejected: how many, in all.
-    """
+    """Counts commands, or pressures, that are ignored; one thread counts, another looks."""
 
     def __init__(self) -> None:
         self.rejected = 0
@@ -95,13 +91,7 @@ class RejectionCount:
 
 
 def command_status(live: LiveValve, now: int, count: RejectionCount, incompatible_publishers: int) -> Status:
-    """Whether commands arrive and are accepted.
-
-    Args:
-        live: obeys them. now: time of its clock, ns.
-        count: of commands that were not finite or beyond max_voltage.
-        incompatible_publishers: how many publishers offer an incompatible QoS now.
-    """
+    """Whether commands arrive and are accepted; `now`, ns, of the clock of the valve."""
     age = math.nan if live.last_command is None else (now - live.last_command) / NANOSECONDS
     values = {
         "age (s)": number_words(age, ".3f"),
@@ -110,16 +100,13 @@ def command_status(live: LiveValve, now: int, count: RejectionCount, incompatibl
         "timed out": str(live.timed_out).lower(),
         "publishers of incompatible QoS": str(incompatible_publishers),
     }
-    if message := count.words("V"):
-        return Status("command", Level.WARN, message, values)
-    if live.timed_out:
-        return Status("command", Level.WARN, "none for longer than command_timeout: coil de-energised", values)
-    if live.withdrawn:
-        message = f"max_voltage was set below the last, of {live.withdrawn:g} V: coil de-energised"
-        return Status("command", Level.WARN, message, values)
-    if incompatible_publishers:
-        return Status("command", Level.WARN, unheard_words(incompatible_publishers), values)
-    return Status("command", Level.OK, "none yet" if math.isnan(age) else "accepted", values)
+    trouble = (
+        count.words("V")
+        or ("none for longer than command_timeout: coil de-energised" if live.timed_out else "")
+        or (f"max_voltage was set below the last, of {live.withdrawn:g} V: coil de-energised" if live.withdrawn else "")
+        or unheard_words(incompatible_publishers)
+    )
+    return _status("command", trouble, "none yet" if math.isnan(age) else "accepted", values)
 
 
 def pressure_status(task: str, pressure: float, count: RejectionCount, incompatible_publishers: int) -> Status:
@@ -129,11 +116,11 @@ def pressure_status(task: str, pressure: float, count: RejectionCount, incompati
         "rejected": str(count.rejected),
         "publishers of incompatible QoS": str(incompatible_publishers),
     }
-    if message := count.words("Pa"):
-        return Status(task, Level.WARN, message, values)
-    if incompatible_publishers:
-        return Status(task, Level.WARN, unheard_words(incompatible_publishers), values)
-    return Status(task, Level.OK, "accepted", values)
+    return _status(task, count.words("Pa") or unheard_words(incompatible_publishers), "accepted", values)
+
+
+def _status(task: str, trouble: str, otherwise: str, values: dict[str, str]) -> Status:
+    return Status(task, Level.WARN if trouble else Level.OK, trouble or otherwise, values)
 
 
 def valve_status(live: LiveValve, failure: str) -> Status:
@@ -149,7 +136,9 @@ def valve_status(live: LiveValve, failure: str) -> Status:
 
 
 def unheard_words(publishers: int) -> str:
-    """That there are publishers who cannot be heard."""
+    """That there are publishers who cannot be heard; empty for none."""
+    if not publishers:
+        return ""
     return f"publishers that offer an incompatible QoS and cannot be heard: {publishers}; publish reliable"
 
 

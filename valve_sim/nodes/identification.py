@@ -7,12 +7,11 @@ the result and hands it on.
 from __future__ import annotations
 
 import contextlib
-import math
 import queue
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.duration import Duration
@@ -58,7 +57,6 @@ ANSWER_SECONDS: Final = 10.0
 """Time in which it must answer, all requests together."""
 _REQUESTS: Final = 4
 """Requests to a node that does not answer: a reply that is sent before DDS has matched its reader is lost."""
-_DIGITS: Final = 5
 Values = dict[str, Any]
 """Flat parameter name to value."""
 
@@ -168,9 +166,9 @@ class IdentificationNode(RosNode[IdentificationSettings]):
             self._exit_code = 1
             self._refusal = f"{outcome.summary}; but apply_to: {applied.node} is as it was: {applied.reason}"
             self._node.get_logger().error(self._refusal)
-            self._result.publish(String(data=text))
-            raise ParameterError(self._refusal)
         self._result.publish(String(data=text))
+        if self._refusal:
+            raise ParameterError(self._refusal)
         return f"{outcome.summary}; see {outcome.files}"
 
     def _report(self, words: str, is_good: bool) -> None:
@@ -201,11 +199,10 @@ class IdentificationNode(RosNode[IdentificationSettings]):
             remote.set(new)
         except ParameterError as error:
             return Applied(remote.name, False, str(error))
-        changes = changes_between(old, new, outcome.intervals)
         self._before = {name: old[name] for name, value in new.items() if old[name] != value}
         if outcome.objection:
             logger.warning(f"{remote.name} is given the result although {outcome.objection} (apply_always)")
-        lines = tuple(change.text() for change in changes)
+        lines = change_lines(old, new, outcome.intervals)
         for line in lines:
             logger.info(f"{remote.name}: {line}")
         if outcome.held:
@@ -255,43 +252,13 @@ def valve_parameters(valve: Valve) -> Values:
 
 
 def _output_folder(settings: IdentificationSettings) -> Path:
-    """The folder of the results; it is made if missing.
-
-    Raises:
-        ParameterError: it cannot be made.
-    """
+    """The folder of the results; it is made if missing. ParameterError: it cannot be made."""
     folder = Path(settings.output).expanduser()
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ParameterError(f"output: {folder}: cannot be made ({error.strerror}); expected a folder") from error
     return folder
-
-
-class Change(NamedTuple):
-    """One parameter that is set to another value.
-
-    Attributes:
-        name: flat, as the valve node has it. old, new: in `unit`.
-        interval: 95 %, of the new value; None where it was not fitted.
-    """
-
-    name: str
-    old: Any
-    new: Any
-    interval: tuple[float, float] | None
-    unit: str
-
-    def text(self) -> str:
-        """One line for the log."""
-        if self.interval is None:
-            return f"{self.name}: {_short(self.old)} → {_short(self.new)} {self.unit}".rstrip()
-        low, high = self.interval
-        digits = _digits(self.new, high - low)
-        return (
-            f"{self.name}: {_short(self.old)} → {_short(self.new, digits)} {self.unit}, 95 % interval "
-            f"{_short(low, digits)} to {_short(high, digits)}"
-        )
 
 
 class RemoteParameters:
@@ -302,11 +269,7 @@ class RemoteParameters:
         self._client = AsyncParameterClient(node, name)
 
     def values(self, names: Sequence[str]) -> Values:
-        """The present values of these parameters.
-
-        Raises:
-            ParameterError: no such node, no answer, or it lacks one of them.
-        """
+        """The present values; ParameterError: no such node, no answer, or it lacks one of them."""
         answer = self._ask(lambda callback: self._client.get_parameters(list(names), callback))
         found = dict(zip(names, map(parameter_value_to_python, answer.values), strict=False))
         missing = [name for name in names if found.get(name) is None]
@@ -315,11 +278,7 @@ class RemoteParameters:
         return {name: value if isinstance(value, float | str) else list(value) for name, value in found.items()}
 
     def set(self, values: Mapping[str, Any]) -> None:
-        """Set all of these, or none.
-
-        Raises:
-            ParameterError: no such node, no answer, or it refuses them; the message has its reason.
-        """
+        """Set all of these, or none; ParameterError: no such node, no answer, or its reason to refuse them."""
         parameters = [Parameter(name, value=value) for name, value in values.items()]
         # Setting the same values again changes nothing, so the first reply counts.
         answer = self._ask(lambda callback: self._client.set_parameters_atomically(parameters, callback))
@@ -337,35 +296,19 @@ class RemoteParameters:
         raise ParameterError(f"{self.name}: did not answer within {ANSWER_SECONDS:g} s")
 
 
-def changes_between(old: Mapping[str, Any], new: Mapping[str, Any], intervals: Mapping[str, Interval]) -> list[Change]:
-    """The changes from `old` to `new`.
-
-    Args:
-        old, new: flat names and values. intervals: by the names of a fit, such as pilot_damping or stiction.force.
-    """
-    return [
-        Change(name, old[name], value, _interval_of(name, intervals), unit_of(name))
-        for name, value in new.items()
-        if old[name] != value
-    ]
-
-
-def _interval_of(name: str, intervals: Mapping[str, Interval]) -> tuple[float, float] | None:
-    root, _, rest = name.partition(".")
-    found = None if root == "tolerances" else intervals.get(name if root == "gas" else rest)
-    return None if found is None else (found.low, found.high)
+def change_lines(old: Values, new: Values, intervals: Mapping[str, Interval]) -> tuple[str, ...]:
+    """One line for each value that changes; `intervals` by the names of a fit, such as stiction.force."""
+    lines = []
+    for name, value in new.items():
+        if old[name] != value:
+            root, _, rest = name.partition(".")
+            found = None if root == "tolerances" else intervals.get(name if root == "gas" else rest)
+            interval = "" if found is None else f", 95 % interval {found.low:.6g} to {found.high:.6g}"
+            lines.append(f"{name}: {_short(old[name])} → {_short(value)} {unit_of(name)}".rstrip() + interval)
+    return tuple(lines)
 
 
-def _digits(value: float, width: float) -> int:
-    """Significant digits of a value such that the width of its interval shows two."""
-    if not 0.0 < width < math.inf or value == 0.0:
-        return _DIGITS
-    return max(_DIGITS, math.ceil(math.log10(abs(value) / width)) + 2)
-
-
-def _short(value: object, digits: int = _DIGITS) -> str:
+def _short(value: object) -> str:
     if isinstance(value, list):
         return f"[{', '.join(map(_short, value))}]"
-    if isinstance(value, float) and math.isinf(value):
-        return "infinity" if value > 0.0 else "-infinity"
-    return f"{value:.{digits}g}" if isinstance(value, float) else str(value)
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -54,11 +54,7 @@ Progress = Callable[[str, float], None]
 
 
 class Prediction(NamedTuple):
-    """The readings of a simulated valve at a trace's samples.
-
-    Attributes:
-        response: by the model. model: its name, for people.
-    """
+    """The readings of a simulated valve at a trace's samples, and the name of the model, for people."""
 
     response: Response
     model: str
@@ -113,17 +109,7 @@ class Player(Protocol):
 
 
 def predict(trace: Trace, valve: Valve, clock_offset: float, model: str) -> Prediction:
-    """Simulate a valve under the commands of a trace.
-
-    Args:
-        trace: commands and sample times.
-        valve: the model.
-        clock_offset: s by which samples are stamped late.
-        model: its name, for people.
-
-    Raises:
-        SimulationError: the valve cannot be simulated.
-    """
+    """Simulate a valve under the commands of a trace, whose samples are stamped `clock_offset`, s, late."""
     drive = trace.input(valve.parameters.release_voltage)
     times = trace.sample_times - clock_offset
     start = float(min(np.min(drive.times, initial=math.inf), np.min(times, initial=math.inf)))
@@ -165,12 +151,8 @@ def timeline(trace: Trace, rate: float) -> Timeline:
 class Replay(StoppableThread):
     """A thread that replays a trace by absolute deadlines: nothing is left out, and lateness does not accumulate.
 
-    Args:
-        clock: is followed; after a jump of it the replay begins anew.
-        trace: what is played.
-        rate: seconds of the trace a second of the clock, 0 for as fast as possible.
-        loop: whether to begin anew at the end.
-        player: is told what is due, when all has been played, and what went wrong.
+    After a jump of the clock it begins anew. `rate` is in seconds of the trace a second of the clock, 0 for as fast as
+    possible.
     """
 
     def __init__(self, clock: PaceClock, trace: Trace, *, rate: float, loop: bool, player: Player) -> None:
@@ -278,12 +260,7 @@ class Outcome(NamedTuple):
 
 
 class Applied(NamedTuple):
-    """Whether the result was set on the valve of `apply_to`.
-
-    Attributes:
-        node: the valve's name. is_set: whether it took the result over. reason: why not.
-        changes: one line for each parameter that has another value now.
-    """
+    """Whether the result was set on the valve `node` of `apply_to`, or why not; a line for each change."""
 
     node: str
     is_set: bool
@@ -395,14 +372,9 @@ def report_text(outcome: Outcome, applied: Applied | None) -> str:
 
 
 class Task(StoppableThread):
-    """A thread that does the work; its progress can be read at any time. It ends at its next report of progress.
+    """A thread that does the work, whose progress can be read at any time; it ends at its next report of progress.
 
-    Args:
-        work: the work; reports its progress and returns one sentence for a person.
-        end: called with that sentence, or with why there is none; is_good says which.
-
-    Attributes:
-        is_done: whether there is a result, or a reason why there is none. status: its progress.
+    `end` is called with the sentence that the work returns, or with why there is none, and whether it is good.
     """
 
     def __init__(self, work: Callable[[Progress], str], end: Callable[[str, bool], None]) -> None:

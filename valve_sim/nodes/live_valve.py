@@ -45,10 +45,6 @@ class Timeline:
         """Model time, s."""
         return self.at(clock)[0]
 
-    def stamp(self, clock: int) -> int:
-        """Stamp, ns."""
-        return self.at(clock)[1]
-
     def at(self, clock: int) -> tuple[float, int]:
         """Model time, s, and stamp, ns."""
         time = self._model + (clock - self._clock) / NANOSECONDS * self._scale
@@ -94,11 +90,7 @@ class LiveValve:
     `command`, `set_pressure`, `limit`, `set_valve`, `set_scale`, `reset` may be called in any thread:
     they store, the next `step` consumes, each at its own time. `restart` and `step` belong to one stepping thread.
 
-    Args:
-        valve: what is simulated.
-        scale: model seconds a second of the clock.
-        command_timeout: s of the clock after which, without a new command, the coil is de-energised; 0 for never.
-        max_voltage: V, the largest command of either sign; `limit` changes it.
+    `scale` is in model seconds a second of the clock; `command_timeout` in s of the clock, 0 for never.
     """
 
     def __init__(
@@ -144,11 +136,7 @@ class LiveValve:
         return True
 
     def pressure(self, name: str) -> float:
-        """A pressure in force, Pa, as it was heard last, or else as declared; NaN for a valve without gas.
-
-        Args:
-            name: inlet_pressure, of the tank, or demand_pressure, behind the demand's orifice.
-        """
+        """A pressure in force, Pa, as it was heard last, or else as declared; NaN for a valve without gas."""
         gas = self._valve.gas
         return math.nan if gas is None else self._heard.get(name, getattr(gas, name))
 
@@ -175,7 +163,7 @@ class LiveValve:
     def set_scale(self, clock: int, scale: float) -> None:
         """Continue at another time scale."""
         self._scale = scale
-        self._requests.post(clock, "scale", partial(self._set_scale, scale))
+        self._requests.post(clock, "scale", lambda clock: self._timeline.set_scale(clock, scale))
 
     def reset(self, clock: int) -> None:
         """Put the valve to rest: closed, without current, as before the first command."""
@@ -248,7 +236,7 @@ class LiveValve:
         self._watch_command(clock)
         self._put(name, clock, pressure)
         self._heard[name] = pressure
-        self._obeyed.append((name, self._timeline.stamp(clock), pressure))
+        self._obeyed.append((name, self._timeline.at(clock)[1], pressure))
 
     def _put(self, name: str, clock: int, pressure: float) -> None:
         """Have the stepper count with a pressure that was heard."""
@@ -264,16 +252,12 @@ class LiveValve:
             del self._heard[name]
         self._running.set_valve(valve, self._timeline.model_time(clock))
 
-    @property
-    def _command_deadline(self) -> int | None:
-        """Clock time, ns, at which the coil is de-energised unless another command comes; None if it is not to be."""
-        if self.command_timeout <= 0.0 or self.last_command is None or self.timed_out:
-            return None
-        return self.last_command + round(self.command_timeout * NANOSECONDS)
-
     def _watch_command(self, clock: int) -> None:
-        deadline = self._command_deadline
-        if deadline is not None and clock >= deadline:
+        """De-energise the coil where no other command has come in time."""
+        if self.command_timeout <= 0.0 or self.last_command is None or self.timed_out:
+            return
+        deadline = self.last_command + round(self.command_timeout * NANOSECONDS)
+        if clock >= deadline:
             volts = self._running.volts
             if volts:
                 self._switched_off = f"no command for {self.command_timeout:g} s (command_timeout), {volts:g} V held"
@@ -295,13 +279,10 @@ class LiveValve:
         if volts == old:
             return
         last = self._switches[-1][0] if self._switches else self._stamp
-        stamp = max(self._timeline.stamp(clock), last + 1)
+        stamp = max(self._timeline.at(clock)[1], last + 1)
         if stamp - 1 > last:
             self._switches.append((stamp - 1, before))
         self._switches.append((stamp, after))
-
-    def _set_scale(self, scale: float, clock: int) -> None:
-        self._timeline.set_scale(clock, scale)
 
     def _rest(self, clock: int) -> None:
         self._running.reset(self._timeline.model_time(clock))
@@ -327,12 +308,7 @@ class LiveValve:
 
 
 class SelfTest(NamedTuple):
-    """One stroke of the model at the reference voltage, apart from the running valve.
-
-    Attributes:
-        passed: the valve opened fully, and its main plunger, or the only one, seated again.
-        summary: the event times, in one sentence.
-    """
+    """Whether the valve opened fully and its main plunger, or the only one, seated again; and the event times."""
 
     passed: bool
     summary: str
@@ -343,7 +319,7 @@ def self_test(valve: Valve) -> SelfTest:
 
     With gas the voltage stays until the pressure has equalised, which may take far longer than the motion.
     """
-    stepper = Stepper(valve)
+    stepper, kinds = Stepper(valve), EventKind
     volts = valve.parameters.reference_voltage
     try:
         stepper.command(0.0, volts)
@@ -352,28 +328,26 @@ def self_test(valve: Valve) -> SelfTest:
         closing = stepper.advance(held.time + SELF_TEST_SECONDS).events
     except SimulationError as error:
         return SelfTest(False, str(error))
-    opened = _milliseconds(opening, 0.0, EventKind.REACHED_STOP, EventKind.BOUNCED_AT_STOP)
-    released = _milliseconds(closing, held.time, EventKind.RELEASED)
-    if valve.parameters.has_one_plunger:
-        closed = _milliseconds(closing, held.time, EventKind.SEATED, EventKind.BOUNCED_AT_SEAT)
-        lifted, seated = f"seat left {_milliseconds(opening, 0.0, EventKind.UNSEATED)}", f"plunger seated {closed}"
-    else:
-        closed = _milliseconds(closing, held.time, EventKind.MAIN_SEATED)
-        picked_up = _milliseconds(opening, 0.0, EventKind.PICKED_UP, EventKind.HELD_AT_GAP)
-        lifted, seated = f"main plunger picked up {picked_up}", f"main plunger seated {closed}"
-    summary = (
-        f"at {volts:g} V: {lifted}, stop reached {opened}{_pressures(valve, held, opened)}; "
-        f"at 0 V: stop left {released}, {seated}"
+    is_one, name = valve.parameters.has_one_plunger, "main plunger"
+    lifting, seating = (kinds.PICKED_UP, kinds.HELD_AT_GAP), (kinds.MAIN_SEATED,)
+    if is_one:
+        lifting, seating, name = (kinds.UNSEATED,), (kinds.SEATED, kinds.BOUNCED_AT_SEAT), "plunger"
+    lifted, released = _milliseconds(opening, 0.0, *lifting), _milliseconds(closing, held.time, kinds.RELEASED)
+    opened = _milliseconds(opening, 0.0, kinds.REACHED_STOP, kinds.BOUNCED_AT_STOP)
+    closed = _milliseconds(closing, held.time, *seating)
+    how_far = ""
+    if valve.gas is not None and opened == "never":
+        outlet, inlet = held.outlet_pressure / 1e6, valve.gas.inlet_pressure / 1e6
+        how_far = f" (after {held.time:g} s the outlet is at {outlet:.3g} MPa, the tank at {inlet:.3g} MPa)"
+    return SelfTest(
+        "never" not in (opened, closed),
+        f"at {volts:g} V: {'seat left' if is_one else 'main plunger picked up'} {lifted}, "
+        f"stop reached {opened}{how_far}; at 0 V: stop left {released}, {name} seated {closed}",
     )
-    return SelfTest("never" not in (opened, closed), summary)
 
 
 def _open(stepper: Stepper) -> tuple[tuple[Event, ...], Reading]:
-    """Hold the voltage; with gas until the valve is open or nothing changes any more.
-
-    Returns:
-        the events, and the valve at the end of that time.
-    """
+    """Hold the voltage; with gas until the valve is open or nothing changes. The events, and the valve at the end."""
     reading = stepper.advance(SELF_TEST_SECONDS)
     events, gas, is_changing = reading.events, stepper.valve.gas, True
     while gas is not None and is_changing and reading.phase is not Phase.OPEN and reading.time < LONGEST_SELF_TEST:
@@ -382,14 +356,6 @@ def _open(stepper: Stepper) -> tuple[tuple[Event, ...], Reading]:
         rise = abs(reading.outlet_pressure - before.outlet_pressure)
         is_changing = bool(reading.events) or rise > _STILL_RISING * gas.inlet_pressure
     return events, reading
-
-
-def _pressures(valve: Valve, held: Reading, opened: str) -> str:
-    """Where a valve with gas has not opened: how far the pressure has equalised."""
-    if valve.gas is None or opened != "never":
-        return ""
-    outlet, inlet = held.outlet_pressure / 1e6, valve.gas.inlet_pressure / 1e6
-    return f" (after {held.time:g} s the outlet is at {outlet:.3g} MPa, the tank at {inlet:.3g} MPa)"
 
 
 def _milliseconds(events: tuple[Event, ...], since: float, *kinds: EventKind) -> str:

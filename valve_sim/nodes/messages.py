@@ -116,11 +116,7 @@ def stamp_of(message: Any) -> int:
 
 
 def pilot_position(message: JointState) -> float:
-    """The pilot plunger's position, m.
-
-    Raises:
-        UnusableMessageError: the message has none.
-    """
+    """The pilot plunger's position, m. Raises UnusableMessageError: the message has none."""
     if JOINT_NAMES[0] not in message.name:
         raise UnusableMessageError(f"joints {list(message.name)[:8]}, expected {JOINT_NAMES[0]} among them")
     index = message.name.index(JOINT_NAMES[0])

@@ -43,16 +43,10 @@ SILENT_SECONDS: Final = 2.0
 
 
 class MonitorThread(StoppableThread):
-    """A thread that compares strokes with the baseline, in order.
+    """A thread that compares strokes with the baseline, in order; the monitor belongs to it.
 
-    Args:
-        monitor: does it; belongs to this thread.
-        prepare: called first, in the thread.
-        report: called with each report.
-        isolate: called with the strokes of an alarm, the baseline, and the last of the strokes as it was cut out, when
-            it is time to isolate its fault.
-        forget: called when the baseline has been discarded, because `recommission` was called.
-        fail: told what went wrong.
+    `prepare` is called first, in the thread. `isolate` is called with the strokes of an alarm, the baseline, and the
+    last of the strokes as it was cut out; `forget` when `recommission` has discarded the baseline.
     """
 
     def __init__(

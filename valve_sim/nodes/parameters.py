@@ -243,12 +243,7 @@ def is_of_ros(name: str) -> bool:
 
 
 def sources_of(sections: Sequence[tuple[str, Section]], node: str) -> dict[str, str]:
-    """Flat name to the file that gave it to this node; a later file wins, as in ROS.
-
-    Args:
-        sections: (file, section) in the order of the command line.
-        node: full name.
-    """
+    """Flat name to the file that gave it to this node, by its full name; a later file wins, as in ROS."""
     return {name: path for path, section in sections if section.applies_to(node) for name in section.values}
 
 

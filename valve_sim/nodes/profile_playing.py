@@ -82,14 +82,9 @@ def play(
     why_stop: Callable[[], str],
     note: Callable[[Commanded], None],
 ) -> None:
-    """Send each command of a profile at its time.
+    """Send each command of a profile at its time, which counts from now.
 
-    Args:
-        drive: the commands; their times count from now.
-        clock: is followed.
-        command: sends a voltage, and returns the ROS time of that in ns.
-        why_stop: asked again and again; the reason to break off, or empty.
-        note: told what was commanded.
+    `command` sends a voltage and returns the ROS time of that, ns. `why_stop` gives a reason to break off, or nothing.
 
     Raises:
         ProfileBrokenOffError: there was a reason to stop, or the clock jumped.

@@ -31,14 +31,7 @@ _LONGEST_LEAP: Final = round(LONGEST_LEAP_SECONDS * NANOSECONDS)
 class Schedule:
     """Absolute deadlines start + k / rate, rounded to ns one by one, so that nothing accumulates.
 
-    Attributes:
-        next: clock time of the next deadline, ns.
-        backlog: ns for which a deadline may be overdue.
-
-    Args:
-        rate: deadlines a second of the clock, Hz.
-        start: clock time of the first, ns.
-        backlog: how much overdue time is made up for, s; at least one deadline always is.
+    `next` is the clock time of the next one, ns. For `backlog`, ns, a deadline may be overdue; one always may.
     """
 
     def __init__(self, rate: float, start: int, backlog: float = BACKLOG_SECONDS) -> None:
@@ -160,26 +153,17 @@ class PaceClock(Protocol):
 
 
 class Restart(NamedTuple):
-    """The clock can no longer be followed as before.
-
-    Attributes:
-        reading: what it shows now.
-        reason: why, in a few words; empty at the first start.
-    """
+    """The clock can no longer be followed as before; the reason is empty at the first start."""
 
     reading: ClockReading
     reason: str
 
 
 class Worker(StoppableThread):
-    """A thread that steps something at a steady rate of a clock.
+    """A thread that steps something at a steady rate of a clock, Hz.
 
-    Args:
-        clock: is followed.
-        rate: steps a second of the clock, Hz; `set_rate` changes it.
-        prepare: called first, in the thread.
-        restart: called before the first step, and whenever the clock jumped or was exchanged.
-        step: called with each deadline, ns of the clock. fail: told what went wrong.
+    `prepare` is called first, in the thread; `restart` before the first step, and whenever the clock jumped or was
+    exchanged; `step` with each deadline, ns of the clock.
     """
 
     def __init__(
@@ -238,11 +222,7 @@ class Worker(StoppableThread):
 
 
 class _Pace:
-    """Watches the clock for jumps, and the rate for changes.
-
-    Attributes:
-        now, is_simulated: the last reading of the clock, ns.
-    """
+    """Watches the clock for jumps, and the rate for changes; keeps its last reading."""
 
     def __init__(self, clock: PaceClock, restart: Callable[[Restart], None]) -> None:
         self.now, self.is_simulated = 0, False

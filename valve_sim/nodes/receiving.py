@@ -36,15 +36,10 @@ Take = Callable[[Any, Arrival], None]
 
 
 class Source:
-    """One topic that an inbox receives.
-
-    Args:
-        topic: its full name. message_type: of it. take: called for each message, in the thread that empties the inbox.
+    """One topic that an inbox receives; `take` is called for each message, in the thread that empties the inbox.
 
     Attributes:
-        topic, take: as given. type: such as std_msgs/msg/Float64.
         known_types: of its publishers, which were warned of where they are not its own.
-        subscription: rclpy's own.
         stored: messages that the executor has called back with, each with its number among all of the inbox.
         incompatible_publishers: how many offer best effort where this topic is subscribed to reliably.
     """

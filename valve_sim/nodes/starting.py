@@ -74,14 +74,7 @@ class Program(NamedTuple):
     needs: Extra | None = None
 
     def __call__(self, args: Sequence[str] | None = None) -> int:
-        """Start the node, spin it, and return its exit code.
-
-        Args:
-            args: the command line with the program's own name first; default sys.argv.
-
-        Returns:
-            0 after --help, SIGINT or SIGTERM, 1 if the node failed, 2 after one line on stderr about unusable input.
-        """
+        """Start the node, spin it, and return its exit code; `args`, by default sys.argv, begin with its name."""
         arguments = list(sys.argv if args is None else args)
         if _asks_for_help(arguments):
             print(inspect.cleandoc(self.usage))
@@ -176,11 +169,7 @@ def rclpy_init(arguments: Sequence[str]) -> None:
 
 
 def rclpy() -> Any:
-    """The module, imported only now: everything else here works without ROS.
-
-    Raises:
-        ParameterError: there is no ROS.
-    """
+    """The module, imported only now: everything else here works without ROS. Raises ParameterError: there is no ROS."""
     try:
         return importlib.import_module("rclpy")
     except ImportError as error:

@@ -107,8 +107,7 @@ def full_name(node: Node, given: str, key: str) -> str:
 class Interface:
     """The topics and services of a node, made by its table: what is not in the table cannot be made.
 
-    Args:
-        node: has them. topics: the table. places: what stands for the words in braces of a name.
+    `places` stand for the words in braces of a name.
     """
 
     def __init__(self, node: Node, topics: Sequence[Topic], **places: str) -> None:
@@ -128,12 +127,7 @@ class Interface:
         return inbox.subscribe(kind_of(topic.type), self._filled(name, places), take, profile(topic.qos))
 
     def serve(self, name: str, answer: Callable[[], Any], group: CallbackGroup | None = None, **places: str) -> None:
-        """Answer a service of type std_srvs/Trigger.
-
-        Args:
-            name: as in the table. answer: says whether it was done, and what to say; it may be a coroutine.
-            group: of its callbacks. places: as of the class.
-        """
+        """Answer a Trigger: `answer`, which may be a coroutine, says whether it was done, and what to say."""
         ask = guarded(answer)
 
         async def respond(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -276,8 +270,6 @@ class CommandingNode(RosNode[S]):
     """A node whose main thread works until it is done or told to end, and which then commands 0 V.
 
     Whichever thread commands does so under `_commanding`, unless `_is_off`.
-
-    Arguments and errors as of `RosNode`.
     """
 
     def __init__(
