@@ -14,7 +14,7 @@ from click.testing import CliRunner
 from own_domain import own_domain
 from rich.console import Console
 
-from valve_sim.demo.__main__ import NANOSECONDS, DemoError, ModelTime, ValveProcess, main
+from valve_sim.demo.__main__ import DemoError, ModelTime, ValveProcess, main
 from valve_sim.demo.story import Story, comparison
 from valve_sim.model import Phase
 from valve_sim.traces import SensorEvent, StrokeEvents, StrokePart, describe, events_from_sensors, read_trace
@@ -32,19 +32,6 @@ def plain(renderable: object) -> str:
     return console.export_text()
 
 
-# --- the clock ---
-
-
-def test_model_time_goes_by_the_least_delayed_stamp():
-    clock = ModelTime(0.02)
-    delays = [900_000, 150_000, 700_000, 2_000_000]  # ns on the wall's clock
-    for step, delay in enumerate(delays):
-        clock.observe(5 * NANOSECONDS + step * 20_000, step * 1_000_000 + delay)
-    # At a wall time of 10 ms the valve is 0.2 ms further than at the start, but for the smallest delay.
-    assert clock.at(10_000_000) == 5 * NANOSECONDS + 200_000 - round(0.02 * 150_000)
-    assert clock.latest == 5 * NANOSECONDS + 60_000
-
-
 def test_what_has_no_stamp_has_that_of_its_step():
     clock = ModelTime(0.02)
     assert clock.stamp_of(0) is None
@@ -56,56 +43,10 @@ def test_what_has_no_stamp_has_that_of_its_step():
     assert clock.stamp_of(2_000_050) is None  # the next step could still be published before it
 
 
-# --- the story ---
-
-
 def opened() -> Story:
     story = Story()
     story.command(1.0, 9.0)
     return story
-
-
-def test_story_tells_each_phase_with_its_model_time():
-    story = opened()
-    lines = [
-        story.phase(1.0 + when, phase)
-        for when, phase in ((1e-5, Phase.PILOT), (5.3e-3, Phase.MAIN), (9.9e-3, Phase.OPEN))
-    ]
-    assert [line.split("ms")[0].strip() for line in lines if line] == ["0.01", "5.30", "9.90"]
-    assert lines[2] is not None and "open" in lines[2]
-
-
-def test_story_is_silent_about_what_is_no_news():
-    story = Story()
-    assert story.phase(0.0, Phase.CLOSED) is None
-    assert story.phase(0.0, Phase.PILOT) is None  # nothing was commanded yet
-    story = opened()
-    story.phase(1.0, Phase.PILOT)
-    story.command(1.1, 0.0)
-    assert story.phase(1.2, Phase.CLOSED) is not None
-    assert story.phase(1.2, Phase.PILOT) is None  # an atom's width, without voltage
-
-
-def test_live_table_shows_where_the_plungers_are():
-    story = opened()
-    story.phase(1.001, Phase.PILOT)
-    story.current(1.001, 0.9)
-    story.joint_states(1.002, (0.615e-3, 0.355e-3), 0.2, 7.0)
-    text = plain(story.table(1.23e-3))
-    assert text.splitlines()[0].count("█") == 20  # half of 41, rounded to even
-    for part in ("615.0 µm", "355.0 µm", "200.0 mm/s", "0.900 A", "pilot", "2.00 ms"):
-        assert part in text
-
-
-def test_first_stroke_begins_with_its_command():
-    story = opened()
-    for step in range(-10, 100):
-        story.joint_states(1.0 + 1e-3 * step, (1e-6 * step, 0.0), 0.0, 0.0)
-    story.command(1.03, 0.0)
-    response, drive = story.first_stroke()
-    assert drive.times.tolist() == pytest.approx([0.0, 0.03])
-    assert response.time[0] == pytest.approx(-5e-3, abs=1.1e-3)
-    assert response.time[-1] == pytest.approx(0.06, abs=1.1e-3)
 
 
 def test_the_picture_has_phase_and_current_where_they_belong():
@@ -132,9 +73,6 @@ def test_a_line_counts_from_the_command_before_it_even_if_it_is_heard_after_the_
     assert story.phase(1.0413, Phase.MAIN) == "   11.30 ms  all parts leave the core"
 
 
-# --- beside the paper ---
-
-
 def stroke_events(offset: float) -> StrokeEvents:
     stroke = StrokePart("opening", 1.0, 1.03, 9.0, "opening at 1.000 s, 9.0 V", True)
     times = {"pilot_reaches_main": 5.3e-3 + offset, "reaches_stop": 9.9e-3 + offset}
@@ -153,9 +91,6 @@ def test_comparison_takes_the_mean_of_the_strokes_and_says_how_well_a_time_is_kn
     }
     assert rows["t1"] == ["5.310", "5.330 ± 0.45", "5.3", "+0.020"], "messages were lost in the second"
     assert rows["seated"] == ["–", "–", "–", "–"], "not seen"
-
-
-# --- the process ---
 
 
 def test_a_node_that_dies_is_quoted(tmp_path: Path):
@@ -179,9 +114,6 @@ def test_a_node_that_ignores_being_asked_is_ended(tmp_path: Path, monkeypatch: p
         time.sleep(0.01)
     process.stop()
     assert process._process.returncode == -signal.SIGKILL
-
-
-# --- all of it ---
 
 
 def start(folder: Path, *arguments: str, **environment: str) -> subprocess.Popen[str]:
