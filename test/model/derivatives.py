@@ -126,8 +126,8 @@ def errors_of(case: Case, names: list[str]) -> dict[str, list[float]]:
     positions, currents = case.derivatives(names)
     errors: dict[str, list[float]] = {name: [] for name in names}
     for index, name in enumerate(names):
-        # Rounding asks for a long step and curvature for a short one.
-        for relative in (1e-4, 1e-5, 1e-3):
+        # Rounding asks for a long step; curvature, and events that nearly coincide, for a short one.
+        for relative in (1e-4, 1e-5, 1e-3, 1e-6, 1e-7):
             found = quotient(case, name, relative * case.size(name))
             if found is None:
                 continue
