@@ -28,17 +28,30 @@ TEXTS = {
     + "".join(f'"{t}","{x}",\n' for t, x in zip(TIMES, LIFTS, strict=True)),
     "a time of day beside": "t,lift,clock\n"
     + "".join(f"{t},{x},12:00:01\n" for t, x in zip(TIMES, LIFTS, strict=True)),
+    "words and quoted decimal commas": "t,lift,state\n"
+    + "".join(f'"{t}","{x}",run\n'.replace(".", ",") for t, x in zip(TIMES, LIFTS, strict=True)),
+    "ISO dates": "t,lift\n"
+    + "".join(f"2024-03-02T23:59:59.{int(1e6 * t):06d}Z,{x}\n" for t, x in zip(TIMES, LIFTS, strict=True)),
+    "German dates": "t;lift\n"
+    + "".join(f"02.03.2024 00:00:00,{int(1e6 * t):06d};{x}\n" for t, x in zip(TIMES, LIFTS, strict=True)),
+    "names above units above sensors": "t,lift\ns,mm\nai0,ai1\n"
+    + "".join(f"{t},{x}\n" for t, x in zip(TIMES, LIFTS, strict=True)),
 }
 
 
-@pytest.mark.parametrize("kind", TEXTS)
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+@pytest.mark.parametrize(
+    ("kind", "encoding"),
+    [
+        *((kind, "utf-8") for kind in TEXTS),
+        *(("tabs", own) for own in ("utf-8-sig", "utf-16", "utf-16-le", "utf-16-be")),
+    ],
+)
 def test_text(kind: str, encoding: str, tmp_path: Path) -> None:
     file = tmp_path / "a.csv"
     file.write_text(TEXTS[kind], encoding=encoding)
     table = open_table(file)
     assert table.names[:2] == ("t", "lift")
-    np.testing.assert_allclose(table.column("t"), TIMES, atol=1e-15)
+    np.testing.assert_allclose(table.column("t") - table.column("t")[0], TIMES, atol=1e-10)
     np.testing.assert_allclose(table.column("lift"), LIFTS)
     np.testing.assert_array_equal(table.column("2"), table.column("lift"))
 
@@ -59,6 +72,33 @@ def test_names_and_units(head: str, names: tuple[str, ...], units: dict[str, str
     table = open_table(file)
     assert table.names == names
     assert table.units == units
+
+
+def test_cells_that_say_a_number_in_words(tmp_path: Path) -> None:
+    file = tmp_path / "a.csv"
+    file.write_text("t,coil,lift\n0,TRUE,1\n1,FALSE,#N/A\n2,on,∞\n3,OFF,-∞\n")
+    table = open_table(file)
+    np.testing.assert_array_equal(table.column("coil"), [1.0, 0.0, 1.0, 0.0])
+    np.testing.assert_array_equal(table.column("lift"), [1.0, np.nan, np.inf, -np.inf])
+
+
+def test_cells_stay_in_their_columns_and_a_last_one_may_begin_late(tmp_path: Path) -> None:
+    file = tmp_path / "a.txt"
+    file.write_text("T\tt\tlift\n23\t0\t\n" + "".join(f"\t{row}\t{'' if row < 12 else row}\n" for row in range(1, 20)))
+    table = open_table(file)
+    assert table.names == ("T", "t", "lift")
+    np.testing.assert_array_equal(table.column("t"), np.arange(20))
+    assert np.isfinite(table.column("lift")).sum() == 8
+
+
+def test_a_number_for_a_name_counts_columns_unless_it_names_another(tmp_path: Path) -> None:
+    file = tmp_path / "a.csv"
+    file.write_text("x,1,2\nsecond,Volt,Volt\n" + "".join(f"{row},{10 + row},{20 + row}\n" for row in range(3)))
+    table = open_table(file)
+    assert table.names == ("x", "channel 1", "channel 2")
+    assert table.column("channel 2")[0] == table.column("3")[0] == 20
+    with pytest.raises(TableError, match="column 2 is ambiguous, for the file calls column 3 so"):
+        table.column("2")
 
 
 def test_empty_cells_are_no_numbers_and_lines_are_counted_as_in_an_editor(tmp_path: Path) -> None:

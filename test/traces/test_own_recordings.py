@@ -438,6 +438,28 @@ def test_the_last_column_is_a_current_only_where_nothing_says_what_it_is(
     assert len(entries) == 4, draft
 
 
+@pytest.mark.parametrize(("repeated", "digits"), [(5, 7), (0, 3)])
+def test_a_first_map_takes_no_rate_out_of_the_air(repeated: int, digits: int, tmp_path: Path, made: Recording) -> None:
+    """Of a few rows with the time of the row before, and of times with too few digits."""
+    held = made.volts[np.maximum(np.searchsorted(made.command_times, made.times, side="right") - 1, 0)]
+    times = made.times.copy()
+    times[100 : 100 + 2 * repeated : 2] = times[99 : 99 + 2 * repeated : 2]
+    rows = [f"{t:.{digits}f},{v:g},{x:.6f}" for t, v, x in zip(times, held, 1e3 * made.pilot_position, strict=True)]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(["time [s],CH1 [V],lift [mm]", *rows]))
+    if digits == 3:
+        with pytest.raises(TraceError, match=r"column time .* repeats: it has too few digits"):
+            draft_map(path, VALVE, "valve-sim map")
+        return
+    (tmp_path / "map.yaml").write_text(draft_map(path, VALVE, "valve-sim map"))
+    summary = describe(read_trace(path, None, load_map(tmp_path / "map.yaml")))
+    assert summary.timed_by == "column time [s]"
+    assert summary.signals["position"].rate == pytest.approx(20e3)
+    (tmp_path / "map.yaml").write_text("time: {rate: 20000}\ncommand: 2\nposition: {column: 3, unit: mm}\n")
+    summary = describe(read_trace(path, None, load_map(tmp_path / "map.yaml")))
+    assert summary.timed_by == f"the rate of 20000 Hz in {tmp_path / 'map.yaml'}"
+
+
 def test_nothing_that_moves_is_said(tmp_path: Path, made: Recording) -> None:
     bag = Bag()
     bag.floats("/lab/lvdt", made.times, np.full(len(made.times), 12.5))

@@ -109,8 +109,7 @@ def _judged_words(summary: TraceSummary) -> str:
 def _print_summary(summary: TraceSummary, arrivals: Sequence[StrokeEvents]) -> None:
     from valve_sim.signals.left_out import words_of
 
-    clock = f"{summary.clock} stamps" if summary.clock in ("header", "bag") else f"its {summary.clock}"
-    click.echo(shown(summary.source) + f": {summary.duration:.6g} s, timed by {clock}")
+    click.echo(shown(f"{summary.source}: {summary.duration:.6g} s, timed by {summary.timed_by}"))
     for signal, rate in summary.signals.items():
         click.echo(
             f"  {signal:<18}{rate.samples:>9} samples{rate.rate:>12.6g} Hz{', in bursts' if rate.in_bursts else ''}"

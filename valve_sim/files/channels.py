@@ -32,7 +32,7 @@ _ALLOWED: Final[Mapping[str, tuple[str, ...]]] = {
     "pressure": ("Pa", "hPa", "mbar", "kPa", "bar", "MPa", "psi"),
     "force": ("N", "mN", "kN", "kgf", "lbf"),
     "temperature": ("degC", "°C", "K"),
-    "time": ("s", "ms", "us", "µs", "ns", "min"),
+    "time": ("s", "ms", "us", "µs", "ns", "min", "h", "d"),
 }
 
 

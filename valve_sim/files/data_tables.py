@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -11,28 +9,18 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.files.channels import UNITS
 from valve_sim.files.recording_map import TimeAxis
-from valve_sim.files.tables import TableError, number_in
+from valve_sim.files.tables import TableError
+from valve_sim.files.text_tables import TextFile, number_in
 
 Array = NDArray[np.float64]
 
-TEXT_SUFFIXES: Final = (".csv", ".txt", ".tsv", ".dat", ".asc")
+TEXT_SUFFIXES: Final = (".csv", ".txt", ".tsv", ".dat", ".asc", ".lvm")
 PARQUET_SUFFIXES: Final = (".parquet", ".pq")
 TABLE_SUFFIXES: Final = (*TEXT_SUFFIXES, *PARQUET_SUFFIXES, ".mat")
 
-_DELIMITERS: Final = (";", "\t", ",", None)
-_COMMENTS: Final = ("#", "%", "//", "!")
-_LONGEST_PREAMBLE: Final = 500
-"""Lines that are searched for the first numbers."""
-_UNIT_WORDS: Final = frozenset(
-    {unit for units in UNITS.values() for unit in units}
-    | {"volt", "volts", "second", "seconds", "sec", "ampere", "amp", "amps", "ohm", "Ω", "N", "Hz", "%", "-", ""}
-)
 MOST_REPEATED: Final = 20
 """Rows, of which one may have the time of the row before: logged twice, that is. More do not know their time."""
-_WHOLE: Final = 3
-"""So many lines of numbers in a row begin the data."""
 
 
 class DataTable:
@@ -61,7 +49,20 @@ class DataTable:
         """
         if not self.has(name):
             raise TableError(f"{self.path}: has no column {name}; it has {', '.join(self.names)}; name one of these")
-        return self._numbers(self.names.index(name) if name in self.names else int(name) - 1)
+        if name in self.names:
+            return self._numbers(self.names.index(name))
+        counted, named = self.names[int(name) - 1], f"channel {name}"
+        if named in self.names and named != counted:
+            raise TableError(
+                f"{self.path}: column {name} is ambiguous, for the file calls column {self.names.index(named) + 1} so; "
+                f"write column: {named}, or column: {counted}"
+            )
+        return self._numbers(int(name) - 1)
+
+    @property
+    def rows(self) -> int:
+        """How many rows there are."""
+        raise NotImplementedError
 
     def place(self, row: int) -> str:
         """Where a row (from 0 on) is in the file, for messages."""
@@ -80,8 +81,7 @@ class DataTable:
             TableError: a cell is empty, time runs backwards, or many rows share one time.
         """
         if axis.rate:
-            rows = len(self.column(self.names[0]))
-            return np.arange(rows) / axis.rate, np.ones(rows, dtype=bool), 0
+            return np.arange(self.rows) / axis.rate, np.ones(self.rows, dtype=bool), 0
         column = axis.column
         times = axis.unit * self.column(column)
         finite = np.isfinite(times)
@@ -124,157 +124,24 @@ def open_table(path: Path) -> DataTable:
         raise TableError(f"{path}: cannot be read ({error.strerror or error}); give a file of a data logger") from error
 
 
-# --- text ---
-
-
 class TextTable(DataTable):
-    """A text file: lines of numbers after a preamble of any kind.
-
-    Cells are separated by semicolons, tabs, commas or blanks; commas that are not separators are decimal points. Names
-    are in the last line before the numbers that has as many cells, or in the one before if the last one holds units.
-    """
+    """A text file; see `TextFile`."""
 
     def __init__(self, path: Path) -> None:
-        lines = _decoded(path.read_bytes()).splitlines()
-        self._delimiter, self._first, width = _find_data(path, lines)
-        self._lines = lines
-        names, units = _find_names(lines[: self._first], self._delimiter, width)
-        names = names or [str(number + 1) for number in range(width)]
-        if all(line.rstrip().endswith(self._delimiter or "\n") for line in lines[self._first : self._first + _WHOLE]):
-            names.pop()  # each line ends with a separator
-        super().__init__(path, names, units)
+        self._file = TextFile(path)
+        super().__init__(path, self._file.layout.names, self._file.layout.units)
+
+    @property
+    def rows(self) -> int:
+        """How many rows there are."""
+        return len(self._file.rows)
 
     def place(self, row: int) -> str:
         """The file's own line number."""
-        numbers = [number for number, line in enumerate(self._lines) if number >= self._first and line.strip()]
-        return f"line {numbers[row] + 1}"
+        return f"line {self._file.line_of(row)}"
 
     def _numbers(self, place: int) -> Array:
-        text = "\n".join(self._lines[self._first :])
-        if self._delimiter != ",":
-            text = text.replace(",", ".")
-        try:
-            found = np.loadtxt(
-                io.StringIO(text), delimiter=self._delimiter, usecols=place, comments=None, ndmin=1, dtype=np.float64
-            )
-        except ValueError:
-            return self._one_by_one(place)
-        return np.asarray(found)
-
-    def _one_by_one(self, place: int) -> Array:
-        """Cell by cell, slowly: empty cells are allowed, and a cell that is not a number is named with its line."""
-        values = []
-        for number, line in enumerate(self._lines[self._first :], start=self._first + 1):
-            if not line.strip():
-                continue
-            cells = _cells(line, self._delimiter)
-            cell = cells[place] if place < len(cells) else None
-            value = np.nan if cell == "" else number_in(cell or "")
-            if value is None:
-                found = "nothing" if cell is None else repr(cell[:40])
-                raise TableError(
-                    f"{self.path}: line {number}: column {self.names[place]}: found {found}, expected a number; "
-                    "correct the line or take it out"
-                )
-            values.append(value)
-        return np.array(values)
-
-
-def _decoded(data: bytes) -> str:
-    """UTF-8 or UTF-16 by its mark; else Latin-1, in which loggers write µ and °."""
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        return data.decode("utf-16", "replace")
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return data.decode("latin-1")
-
-
-def _cells(line: str, delimiter: str | None) -> list[str]:
-    cells = [cell.strip().strip('"').strip() for cell in line.strip().split(delimiter)]
-    return cells if delimiter == "," else [cell.replace(",", ".") for cell in cells]
-
-
-def _find_data(path: Path, lines: Sequence[str]) -> tuple[str | None, int, int]:
-    """The delimiter, the first line of numbers, and how many cells it has."""
-    head = lines[: _LONGEST_PREAMBLE + _WHOLE]
-    for words in (0, 1):  # one column of text, such as a time of day, is allowed if nothing else fits
-        for delimiter in _DELIMITERS:
-            widths = [_width_of_numbers(line, delimiter, words) for line in head]
-            start = _first_run(widths)
-            if start is not None:
-                return delimiter, start, widths[start] or 0
-    if not any(line.strip() for line in lines):
-        raise TableError(f"{path}: is empty; export the measurement again")
-    raise TableError(
-        f"{path}: no table of numbers in its first {min(len(lines), _LONGEST_PREAMBLE)} lines; "
-        "expected rows of at least two numbers, parted by ; , tabs or blanks"
-    )
-
-
-def _first_run(widths: Sequence[int | None]) -> int | None:
-    """Where lines of numbers of one width begin."""
-    for start, width in enumerate(widths[:_LONGEST_PREAMBLE]):
-        if not width:
-            continue
-        run = [found for found in widths[start:] if found is not None][:_WHOLE]
-        if len(set(run)) == 1 and (len(run) == _WHOLE or start + len(run) >= len(widths) - 1):
-            return start
-    return None
-
-
-def _width_of_numbers(line: str, delimiter: str | None, words: int) -> int | None:
-    """How many cells a line of numbers has, of which `words` may be text; 0 for another line, None for an empty one."""
-    if not line.strip():
-        return None
-    if line.lstrip().startswith(_COMMENTS):
-        return 0
-    cells = _cells(line, delimiter)
-    numbers = sum(cell == "" or number_in(cell) is not None for cell in cells)
-    return len(cells) if len(cells) > 1 and numbers >= max(2, len(cells) - words) else 0
-
-
-def _find_names(lines: Sequence[str], delimiter: str | None, width: int) -> tuple[list[str], dict[str, str]]:
-    """Names and units from the lines before the numbers."""
-    rows: list[list[str]] = []
-    for line in reversed(lines):
-        text = line.strip()
-        for mark in _COMMENTS:
-            text = text.removeprefix(mark)
-        cells = [cell.strip().strip('"').strip() for cell in text.strip().split(delimiter)]
-        if len(cells) != width:
-            if text.strip() and rows:
-                break
-            continue
-        rows.append(cells)
-        if len(rows) == 2:
-            break
-    if not rows:
-        return [], {}
-    is_units = len(rows) == 2 and any(rows[0]) and all(_is_unit(cell) for cell in rows[0])
-    names = _unique(rows[1] if is_units else rows[0])
-    units = {name: _bare(cell) for name, cell in zip(names, rows[0], strict=True)} if is_units else {}
-    for name in names:
-        inside = re.search(r"[\[(]([^\])]+)[\])]\s*$", name)
-        if inside:
-            units.setdefault(name, inside[1].strip())
-    return names, {name: unit for name, unit in units.items() if unit}
-
-
-def _is_unit(cell: str) -> bool:
-    return _bare(cell) in _UNIT_WORDS or _bare(cell).lower() in _UNIT_WORDS
-
-
-def _bare(cell: str) -> str:
-    return cell.strip().strip("[]()").strip()
-
-
-def _unique(names: Sequence[str]) -> list[str]:
-    """Names, with a number added to those that are empty or occur twice."""
-    result: list[str] = []
-    for number, name in enumerate(names, start=1):
-        result.append(name if name and name not in result else f"{name or 'column'}_{number}")
-    return result
+        return self._file.column(place)
 
 
 # --- Parquet and MATLAB ---
@@ -286,6 +153,11 @@ class _ArrayTable(DataTable):
     def __init__(self, path: Path, columns: Mapping[str, Any]) -> None:
         super().__init__(path, list(columns), {})
         self._columns = list(columns.values())
+
+    @property
+    def rows(self) -> int:
+        """How many rows there are."""
+        return len(self._columns[0]) if self._columns else 0
 
     def _numbers(self, place: int) -> Array:
         found = np.asarray(self._columns[place])

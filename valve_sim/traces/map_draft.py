@@ -9,7 +9,7 @@ import numpy as np
 import yaml
 
 from valve_sim.files.channels import CHANNELS, SIGNALS, UNITS
-from valve_sim.files.data_tables import TABLE_SUFFIXES, DataTable, open_table
+from valve_sim.files.data_tables import MOST_REPEATED, TABLE_SUFFIXES, DataTable, open_table
 from valve_sim.files.tables import TableError
 from valve_sim.signals.voltage_steps import count_levels
 from valve_sim.traces.map_series import Series, bag_series, table_series
@@ -19,6 +19,8 @@ from valve_sim.traces.trouble import MOST_AMPERES
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
+
+    from numpy.typing import NDArray
 
     from valve_sim.model import ValveParameters
 
@@ -32,6 +34,8 @@ FEW_MESSAGES = 0.2
 MOST_LEVELS = 12
 """A voltage rests at so few levels at most."""
 MOST_LISTED = 40
+EXCEL_DAYS = (2e4, 8e4)
+"""Days since 1899, of 1954 to 2119: a spreadsheet's dates as numbers."""
 
 
 class Guess(NamedTuple):
@@ -279,24 +283,40 @@ def _time_line(table: DataTable) -> tuple[list[str], list[Series]]:
     for name in table.names:
         try:
             columns[name] = table.column(name)
-        except TableError:  # words, such as a time of day
+        except TableError:  # words
             continue
-    ascending = [name for name, values in columns.items() if len(values) > 1 and (np.diff(values) > 0).all()]
-    named = [name for name in ascending if PLAIN.fullmatch(name)]
-    time = next(iter([*named, *ascending]), None)
+    with np.errstate(invalid="ignore"):  # of readings beyond the range
+        steps_of = {name: np.diff(values) for name, values in columns.items() if len(values) > 1}
+    dating = {name: steps for name, steps in steps_of.items() if _dates(name, steps)}
+    usable = [name for name, steps in dating.items() if np.mean(steps == 0.0) <= 1.0 / MOST_REPEATED]
+    named = [name for name in usable if PLAIN.fullmatch(name)]
+    time = next(iter([*named, *usable]), None)
     series = table_series(table, {name: values for name, values in columns.items() if name != time})
     if time is None:
-        return ["# CHECK: no column ascends; give the rows a second", "time: {rate: 10000}"], series
-    step = float(np.median(np.diff(columns[time])))
+        coarse = next((name for name in dating if PLAIN.fullmatch(name)), None)
+        why = "no column ascends" if coarse is None else f"column {coarse} repeats: it has too few digits"
+        raise TraceError(
+            f"{table.path}: {why}, and nothing else says when its rows were taken; write a map by hand with "
+            "time: {rate: ...} (rows a second), or export the times"
+        )
+    step = float(np.median(dating[time][dating[time] > 0.0]))
     units = UNITS["time"]
     unit, reason = table.units.get(time, ""), "unit as the file says"
     if unit.lower().startswith("s"):
         unit = "s"
     if unit not in units:
-        unit = next((name for name in ("s", "ms", "us", "ns") if 2e-7 < units[name].factor * step < 2e-2), "s")
+        is_calendar = EXCEL_DAYS[0] < columns[time][0] < EXCEL_DAYS[1] and step < 1e-4
+        known = ("d",) if is_calendar else ("s", "ms", "us", "ns")
+        unit = next((name for name in known if 2e-7 < units[name].factor * step < 2e-2), "s")
         reason = "CHECK unit"
     rate = 1.0 / (units[unit].factor * step)
     return [f"# {rate:.6g} rows a second; {reason}", f"time: {_yaml({'column': time, 'unit': unit})}"], series
+
+
+def _dates(name: str, steps: NDArray[np.float64]) -> bool:
+    """Whether a column may be of times: it never falls, and is no counter of rows unless its name says time."""
+    never_falls = bool((steps >= 0.0).all() and steps.any())
+    return never_falls and (not (steps == 1.0).all() or PLAIN.fullmatch(name) is not None)
 
 
 def _yaml(entry: Mapping[str, object]) -> str:

@@ -54,7 +54,8 @@ class TraceSummary:
         source: The file and the valve.
         duration: From the first to the last sample, s.
         epoch_ns: The first stamp, ns.
-        clock: "header" or "bag".
+        clock: "header", "bag", "time column" or "rate".
+        timed_by: That in words: a rate with its number and the map that says it.
         signals: Number and rate of the samples by name: position, main_position, coil_current ... as far as recorded.
         jitter: 99 % quantile of the deviation of the sample interval from its median, s.
         gaps: Intervals over three times the usual one.
@@ -86,6 +87,7 @@ class TraceSummary:
     primary_signal: str = "position"
     input: str = ""
     left_out: dict[str, int] = field(default_factory=dict)
+    timed_by: str = ""
 
 
 def describe(trace: Trace) -> TraceSummary:
@@ -109,6 +111,7 @@ def describe(trace: Trace) -> TraceSummary:
         primary_signal=trace.primary_signal,
         left_out=trace.left_out.counts if trace.has_positions else {},
         input=_input(trace),
+        timed_by=trace.origins.get("time", f"{trace.clock} stamps"),
     )
 
 

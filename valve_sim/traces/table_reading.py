@@ -103,6 +103,9 @@ class _TableAssembly:
         finite = np.isfinite(pilot)
         if not (finite & kept).any():
             raise TraceError(f"{self.path}: {self.sources[judged].name}: no finite {judged}; name another column")
+        beyond = int(np.isinf(pilot).sum())
+        if beyond:
+            self.findings.append(f"{self.sources[judged].name}: left out {beyond} clipped readings (∞)")
         if not finite.all():
             dropped = int((~finite).sum())
             self.findings.append(f"{self.sources[judged].name}: dropped {dropped} of {len(pilot)} rows without it")
@@ -127,7 +130,7 @@ class _TableAssembly:
             pilot_position=pilot[use],
             main_position=main,
             epoch_ns=epoch,
-            origins={key: source.name for key, source in self.sources.items()},
+            origins={"time": self.timed_by, **{key: source.name for key, source in self.sources.items()}},
             clock="time column" if self.axis.column else "rate",
             **{**signals, "coil_voltage": signals.get("coil_voltage") or self.voltage},  # type: ignore[arg-type] # by name
         )
@@ -154,6 +157,12 @@ class _TableAssembly:
     def axis(self) -> TimeAxis:
         assert self.map.time is not None
         return self.map.time
+
+    @property
+    def timed_by(self) -> str:
+        """What dates the rows, for messages."""
+        axis = self.axis
+        return f"column {axis.column}" if axis.column else f"the rate of {axis.rate:.6g} Hz in {self.map.path}"
 
     def column(self, quantity: str) -> Array:
         """A quantity in SI, NaN where a cell is empty."""
