@@ -24,6 +24,8 @@ pytestmark = pytest.mark.long
 ROOT = Path(__file__).parents[2]
 INPUTS = ROOT.parent / "shared" / "inputs"
 SECONDS = 120.0
+CLAIMED = ("effects", "partly")
+"""Verdicts whose names are claimed."""
 needs_inputs = pytest.mark.skipif(not INPUTS.is_dir(), reason="the recordings of the review are not here")
 
 
@@ -67,7 +69,7 @@ def own_valve(folder: str) -> vs.Diagnosis:
 def test_hum_on_the_current_does_not_void_the_friction() -> None:
     """T 3."""
     found = own_valve("hard_stop_hum")
-    assert "coulomb_friction" in found.verdict.effects
+    assert found.verdict.kind in CLAIMED and "coulomb_friction" in found.verdict.effects
     friction = found.after.intervals["coulomb_friction.force"]
     assert friction.value == pytest.approx(0.12, abs=max(0.03, 3.0 * friction.stderr))
     assert found.after.holdout_rmse < 2.4e-6
@@ -95,7 +97,7 @@ def test_what_is_twice_the_detection_limit_by_the_current_alone_is_named() -> No
 
     limit = state_of_recording(by_the_current(0.0), valve).limits["coulomb_friction"]["force"]
     found = vs.diagnose(by_the_current(2.0 * limit), valve, budget=vs.Budget.of_seconds(SECONDS))
-    assert "coulomb_friction" in found.verdict.effects
+    assert found.verdict.kind in CLAIMED and "coulomb_friction" in found.verdict.effects
 
 
 @later("a change over the strokes of a recording is no hypothesis")

@@ -155,7 +155,7 @@ def test_what_was_set_all_the_same_can_be_undone(probe: Probe, live: Probe, tmp_
     (section,) = read_sections(tmp_path / "before.yaml")
     assert section.node == "/valve"
     assert section.values == {name: before[name] for name in section.values}
-    assert {"valve.main_damping", "effects.coulomb_friction.force", "tolerances"} <= section.values.keys()
+    assert {"valve.main_damping", "effects.coulomb_friction.force", "tolerances.stroke"} <= section.values.keys()
 
 
 def test_the_replay_is_the_recording_beside_the_model(probe: Probe, tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from valve_sim.records.archive import Archive
 from valve_sim.station.archive_node import Keeper
 from valve_sim.station.figures import Report, finding_report, stroke_report
 
-from .test_figures import FINDING, STROKE, SUMMARY
+from .test_figures import BROKEN, FINDING, STROKE, SUMMARY
 
 VALVE = "/tank_1/valve"
 START = datetime(2026, 11, 30, tzinfo=timezone.utc)
@@ -100,9 +100,12 @@ def test_what_a_monitor_said_is_read_after_the_node_has_gone(probe: Probe, tmp_p
     with piped(tmp_path, program) as process:
         talkers = (strokes, finding, answers)
         assert probe.until(lambda: all(talker.get_subscription_count() for talker in talkers))
+        for text in BROKEN:
+            strokes.publish(String(data=text))
+            probe.spin_for(0.1)
+        probe.spin_for(1.0)
         for number in range(3):
             strokes.publish(String(data=json.dumps({**STROKE, "stroke": number})))
-        strokes.publish(String(data="nonsense"))
         finding.publish(DiagnosticArray(status=[DiagnosticStatus(message=SUMMARY, values=entries)]))
         answers.publish(DiagnosticArray(status=[of_another, answered]))
         probe.spin_for(2.0)  # all are in the node's queues; the next look takes them

@@ -59,16 +59,39 @@ def test_units_are_those_of_the_models_tables_and_of_unece() -> None:
     assert unit_id("furlong") == -1
 
 
-@pytest.mark.parametrize("text", ["", "[]", "{}", '{"schema": "valve_sim/stroke/1"}', json.dumps(FINDING)])
-def test_other_messages_are_refused_in_one_line(text: str) -> None:
-    with pytest.raises(ValveError, match="expected") as refused:
+def changed(**values: object) -> str:
+    return json.dumps({**STROKE, **values})
+
+
+BROKEN = [
+    "", "[]", "{}", '{"schema": "valve_sim/stroke/1"}', json.dumps(FINDING), "[" * 200_000, '{"a":' * 2000,
+    *(changed(time=value) for value in (1e308, -1.0, float("inf"), float("nan"), "soon", None, 2**60)),
+    *(changed(stroke=value) for value in (1.5, -1, 2**31, "first", None, 10**400)),
+    *(changed(t1=value) for value in ("late", [5e-3], {"s": 5e-3}, True, float("nan"))),
+    changed(valve=["/valve"]), changed(state={}), changed(cause="x", alarm={"sum": "much"}), changed(state="x" * 5000),
+    changed(scores={"coulomb_friction": "high"}), changed(damping={"main_damping": {"value": [1]}}),
+    changed(residual_rms_um="1 µm"),
+]  # fmt: skip
+"""Reports of a stroke that are none."""
+
+
+@pytest.mark.parametrize("text", BROKEN, ids=lambda text: text[:20])
+def test_a_broken_report_is_refused_in_one_short_line(text: str) -> None:
+    with pytest.raises(ValveError, match=r"expected|is missing") as refused:
         stroke_report(text)
-    assert "\n" not in str(refused.value)
+    assert "\n" not in str(refused.value) and len(str(refused.value)) < 400
 
 
-def test_a_status_that_is_no_finding_is_refused_in_one_line() -> None:
-    with pytest.raises(ValveError, match="expected a finding of a monitor: KeyError"):
-        finding_report("on time", {"rate": "500"})
+@pytest.mark.parametrize(
+    "found", [{"rate": "500"}, {**FINDING, "time": "Infinity"}, {**FINDING, "probability": "likely"}, {"stroke": "1"}]
+)
+def test_a_status_that_is_no_finding_is_refused_in_one_line(found: dict[str, str]) -> None:
+    with pytest.raises(ValveError, match=r"expected|is missing"):
+        finding_report("on time", found)
+
+
+def test_half_a_character_is_shown_as_one_that_is_unknown() -> None:
+    assert stroke_report(changed(state="\ud800ok")).values["Stroke.State"] == "?ok"
 
 
 def test_the_worst_of_a_nodes_statuses_counts() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import json
 import signal
 from concurrent.futures import ThreadPoolExecutor
@@ -15,7 +16,7 @@ from nodes.ros_process import Probe, ended, free_port, own_lines, piped
 
 from valve_sim.nodes.starting import Extra
 
-from .test_figures import FINDING, STROKE, SUMMARY
+from .test_figures import BROKEN, FINDING, STROKE, SUMMARY
 
 
 def test_a_missing_library_is_one_line_that_says_what_to_install() -> None:
@@ -38,6 +39,7 @@ def test_what_is_said_on_topics_is_read_and_methods_call_services(probe: Probe, 
     from .clients import Identity
 
     entries = [KeyValue(key=key, value=value) for key, value in FINDING.items()]
+    broken = iter(BROKEN)
     finding = DiagnosticArray(status=[DiagnosticStatus(message=SUMMARY, values=entries)])
     talkers = [
         (probe.talker("/monitor/stroke_report", String), String(data=json.dumps(STROKE))),
@@ -62,6 +64,8 @@ def test_what_is_said_on_topics_is_read_and_methods_call_services(probe: Probe, 
     identity, port = Identity(tmp_path / "client").trusted_by(tmp_path / "server"), free_port()
 
     def publish() -> None:
+        for text in itertools.islice(broken, 5):
+            talkers[0][0].publish(String(data=text))
         for talker, message in talkers:
             talker.publish(message)
 
@@ -70,7 +74,7 @@ def test_what_is_said_on_topics_is_read_and_methods_call_services(probe: Probe, 
     program = node(tmp_path / "server")
     with piped(tmp_path, program, port=port, address="127.0.0.1") as process, ThreadPoolExecutor(1) as pool:
         asked = pool.submit(asyncio.run, _operate(f"opc.tcp://127.0.0.1:{port}/valve_sim/", identity))
-        assert probe.until(asked.done)
+        assert probe.until(lambda: asked.done() and next(broken, None) is None), "no broken report ends it"
         values, stamp, methods = asked.result()
         assert probe.until(lambda: answers), "a person has acknowledged the alarm"
         said = ended(process, signal.SIGINT)

@@ -334,7 +334,7 @@ def _identified(result: Identification, settings: IdentificationSettings, folder
     save_valve(file, result.valve, _provenance(settings, summary))
     offset = result.fit.values["clock_offset[0]"]
     report, handed = identification_json(result), handed_on(result.fit, result.intervals)
-    objection = handed.objection or _objection_to(result)
+    objection = _objection_to(result) or handed.objection
     return Outcome(result.valve, offset, report, file, summary, result.intervals, handed.valve, handed.held, objection)
 
 

@@ -5,14 +5,13 @@ Knows neither OPC UA nor ROS: reports are the JSON of a monitor's topics, values
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Mapping, Sequence
 from datetime import datetime, timezone
 from typing import Any, Final, Literal, NamedTuple
 
-from valve_sim.model.errors import ValveError
+from valve_sim.nodes.heard import count_of, moment_of, number_of, read_report, text_of
 from valve_sim.nodes.valve_parameters import unit_of
 
 Kind = Literal["Double", "Int32", "Boolean", "String"]
@@ -52,16 +51,16 @@ class Figure(NamedTuple):
 
 
 FIGURES: Final = (
-    Figure("Health.Level", "Int32", "", "what the monitor says of the valve: 0 OK, 1 WARN, 2 ERROR, 3 STALE"),
-    Figure("Health.Message", "String", "", "the same in words"),
-    Figure("Driver.Level", "Int32", "", "the worst that the valve's own node says: 0 OK, 1 WARN, 2 ERROR, 3 STALE"),
-    Figure("Driver.Message", "String", "", "the words of that"),
+    Figure("Health.Level", "Int32", "", "state of the valve, by its monitor: 0 OK, 1 WARN, 2 ERROR, 3 STALE"),
+    Figure("Health.Message", "String", "", "state of the valve in words"),
+    Figure("Driver.Level", "Int32", "", "worst state that the valve's node reports: 0 OK, 1 WARN, 2 ERROR, 3 STALE"),
+    Figure("Driver.Message", "String", "", "that state in words"),
     Figure("Live.Phase", "Int32", "", "0 closed, 1 pilot, 2 gap_hold, 3 main, 4 open"),
     Figure("Live.IsOpen", "Boolean", "", "whether the flow path is fully open"),
     Figure("Live.CoilCurrent", "Double", "A", "current of the coil", is_kept=False),
     Figure("Live.OutletPressure", "Double", "Pa", "pressure behind the valve, absolute", is_kept=False),
-    Figure("Stroke.Number", "Int32", "", "of the last stroke, from 0 on"),
-    Figure("Stroke.State", "String", "", "of the monitor at that stroke"),
+    Figure("Stroke.Number", "Int32", "", "number of the last stroke, from 0"),
+    Figure("Stroke.State", "String", "", "state of the monitor at that stroke"),
     Figure("Stroke.OpeningDelay", "Double", "s", "from the command until the plunger moves"),
     Figure("Stroke.T1", "Double", "s", "pilot plunger reaches the main plunger, after the command"),
     Figure("Stroke.T1StandardError", "Double", "s", "standard error of T1"),
@@ -76,17 +75,17 @@ FIGURES: Final = (
     Figure("Stroke.Residual", "Double", "m", "measured less predicted position, root mean square"),
     Figure("Stroke.CurrentResidual", "Double", "A", "measured less predicted current, of a valve watched by it alone"),
     Figure("Stroke.Score", "Double", "", "largest cumulative sum of the scores"),
-    Figure("Stroke.Threshold", "Double", "", "of that sum, at which an alarm is raised"),
-    Figure("Stroke.Cause", "String", "", "the effect in whose direction that sum points"),
+    Figure("Stroke.Threshold", "Double", "", "score at which an alarm is raised"),
+    Figure("Stroke.Cause", "String", "", "effect in whose direction the score points"),
     Figure("Stroke.ScoreNames", "String", "", "effects with the largest scores of this stroke", is_list=True),
-    Figure("Stroke.Scores", "Double", "", "those scores, standard normal while nothing has changed", is_list=True),
+    Figure("Stroke.Scores", "Double", "", "these scores, standard normal while nothing has changed", is_list=True),
     Figure("Finding.Effect", "String", "", "what has changed: names of effects or of declared values"),
-    Figure("Finding.Parameter", "String", "", "the parameter whose value is given"),
-    Figure("Finding.Value", "Double", "", "of that parameter, in the unit of Unit"),
-    Figure("Finding.StandardError", "Double", "", "standard error of that value"),
+    Figure("Finding.Parameter", "String", "", "parameter whose value is given"),
+    Figure("Finding.Value", "Double", "", "value of that parameter, in the unit of Unit"),
+    Figure("Finding.StandardError", "Double", "", "standard error of Value"),
     Figure("Finding.Unit", "String", "", "SI unit of value and standard error"),
-    Figure("Finding.Probability", "Double", "", "that this is what has changed, 0 to 1"),
-    Figure("Finding.Stroke", "Int32", "", "the last stroke that the finding rests on"),
+    Figure("Finding.Probability", "Double", "", "probability of this finding, 0 to 1"),
+    Figure("Finding.Stroke", "Int32", "", "last stroke of those that gave the finding"),
     Figure("Finding.Summary", "String", "", "the finding in one sentence"),
 )
 """All variables of a valve, in the order in which they are browsed."""
@@ -116,6 +115,10 @@ def unit_words(unit: str) -> str:
     return unit if found is None else found[1]
 
 
+_LONGEST: Final = 2000
+"""Characters of a text."""
+
+
 class Report(NamedTuple):
     """What was said of a valve: full name of its node, time in UTC, and values by path."""
 
@@ -130,32 +133,36 @@ def utc(seconds: float) -> datetime:
 
 
 def shown(group: str, told: Mapping[str, object]) -> Values:
-    """The figures of a group by path, of what was told by column."""
-    return {figure.path: told.get(figure.column) for figure in FIGURES if figure.group == group}
+    """The figures of a group by path, of what was told by column.
+
+    Raises:
+        UnusableMessageError: a value is of another kind, not finite, or out of bounds.
+    """
+    return {figure.path: _checked(figure, told) for figure in FIGURES if figure.group == group}
 
 
 def stroke_report(text: str) -> Report:
     """What a monitor's ~/stroke_report says.
 
     Raises:
-        ValveError: it is no such report.
+        UnusableMessageError: it is no such report.
     """
-    found = _read(text, "valve_sim/stroke/1")
+    found = read_report(text, "valve_sim/stroke/1")
     alarm, scores = _mapping(found.get("alarm")), _mapping(found.get("scores"))
-    told = {
+    told: dict[str, object] = {
         **found,
-        "number": found["stroke"],
-        "residual": _scaled(found.get("residual_rms_um"), 1e-6),
-        "current_residual": _scaled(found.get("residual_rms_ma"), 1e-3),
+        "number": count_of(found, "stroke"),
+        "residual": _scaled(number_of(found, "residual_rms_um"), 1e-6),
+        "current_residual": _scaled(number_of(found, "residual_rms_ma"), 1e-3),
         "score": alarm.get("sum"),
         "threshold": alarm.get("threshold"),
-        "cause": alarm.get("cause") or "",
-        "score_names": [str(name) for name in scores],
-        "scores": [math.nan if score is None else float(score) for score in scores.values()],
+        "cause": alarm.get("cause"),
+        "score_names": list(scores),
+        "scores": list(scores.values()),
     }
     for name, interval in _mapping(found.get("damping")).items():
         told[name], told[f"{name}_stderr"] = (_mapping(interval).get(key) for key in ("value", "stderr"))
-    return Report(found["valve"], utc(found["time"]), shown("Stroke", told))
+    return Report(text_of(found, "valve"), utc(moment_of(found)), shown("Stroke", told))
 
 
 def finding_report(summary: str, found: Mapping[str, str]) -> Report:
@@ -165,31 +172,21 @@ def finding_report(summary: str, found: Mapping[str, str]) -> Report:
         summary: its words. found: keys and values.
 
     Raises:
-        ValveError: it is no such finding.
+        UnusableMessageError: it is no such finding.
     """
     name = next((key for key in found if key.startswith("parameters.") and key.endswith(".value")), "")
     name = name.removeprefix("parameters.").removesuffix(".value")
-    try:
-        told = {
-            "effect": found.get("effects") or found.get("kind"),
-            "parameter": name,
-            "value": _number(found, f"parameters.{name}.value"),
-            "stderr": _number(found, f"parameters.{name}.stderr"),
-            "unit": unit_of(name),
-            "probability": _number(found, "probability"),
-            "stroke": int(found["stroke"]),
-            "summary": summary,
-        }
-        return Report(found["valve"], utc(float(found["time"])), shown("Finding", told))
-    except (KeyError, ValueError) as error:
-        raise ValveError(f"found {dict(found)!r:.60}, expected a finding of a monitor: {error!r}") from error
-
-
-def _number(found: Mapping[str, str], key: str) -> float | None:
-    try:
-        return float(found[key])
-    except (KeyError, ValueError):
-        return None
+    told: dict[str, object] = {
+        "effect": found.get("effects") or found.get("kind"),
+        "parameter": name,
+        "value": found.get(f"parameters.{name}.value"),
+        "stderr": found.get(f"parameters.{name}.stderr"),
+        "unit": unit_of(name),
+        "probability": found.get("probability"),
+        "stroke": count_of(found, "stroke"),
+        "summary": summary,
+    }
+    return Report(text_of(found, "valve"), utc(moment_of(found)), shown("Finding", told))
 
 
 def worst(statuses: Sequence[tuple[int, str, str]]) -> tuple[int, str]:
@@ -198,21 +195,23 @@ def worst(statuses: Sequence[tuple[int, str, str]]) -> tuple[int, str]:
     return level, f"{task}: {message}"
 
 
-def _read(text: str, schema: str) -> dict[str, Any]:
-    try:
-        found = json.loads(text)
-        if found["schema"] != schema:
-            raise ValveError(f"found a message of schema {found['schema']!r}, expected {schema}: use one version")
-        float(found["time"]), int(found["stroke"]), str(found["valve"])
-    except (ValueError, KeyError, TypeError) as error:
-        raise ValveError(f"found {text[:60]!r}, expected a message of schema {schema}: {error!r}") from error
-    assert isinstance(found, dict)
-    return found
+def _checked(figure: Figure, told: Mapping[str, object]) -> object:
+    if figure.is_list:
+        entries = told.get(figure.column)
+        items = [{figure.column: entry} for entry in entries] if isinstance(entries, list) else []
+        found = [_checked(figure._replace(is_list=False), item) for item in items]
+        return [math.nan if entry is None else entry for entry in found]
+    if figure.kind == "String":
+        return text_of(told, figure.column, _LONGEST).encode("utf-8", "replace").decode()  # no half of a character
+    if figure.kind == "Int32":
+        number = number_of(told, figure.column, -(2.0**31), 2.0**31 - 1.0)
+        return None if number is None else int(number)
+    return number_of(told, figure.column)
 
 
 def _mapping(found: object) -> Mapping[str, Any]:
     return found if isinstance(found, Mapping) else {}
 
 
-def _scaled(value: object, factor: float) -> float | None:
-    return factor * value if isinstance(value, int | float) else None
+def _scaled(value: float | None, factor: float) -> float | None:
+    return None if value is None else factor * value

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from datetime import datetime
 from functools import partial
-from typing import Any
+from typing import Any, Final
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
@@ -17,6 +18,9 @@ from valve_sim.nodes.realtime import NANOSECONDS, Arrival
 from valve_sim.nodes.receiving import Inbox
 from valve_sim.nodes.wiring import Interface
 from valve_sim.station.figures import Report, Values, finding_report, stroke_report, utc, worst
+
+_LONGEST: Final = 2000
+"""Characters of a text; what is longer is cut."""
 
 
 class StationEar:
@@ -79,32 +83,31 @@ class StationEar:
             self._node.get_logger().warning(f"a report of {valve} is left out: {error}", throttle_duration_sec=10.0)
 
     def _take_answer(self, message: DiagnosticArray, arrival: Arrival) -> None:
-        stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
         for status in message.status:
-            said = {entry.key: entry.value for entry in status.values}
+            said = {entry.key: entry.value[:_LONGEST] for entry in status.values}
             if any(said.get("valve") == valve for valve, _ in self._pairs):
-                values: Values = {"Answer.Level": status.level[0], "Answer.Message": status.message}
+                values: Values = {"Answer.Level": status.level[0], "Answer.Message": status.message[:_LONGEST]}
                 values |= {"Answer.User": said.get("user", ""), "Answer.Comment": said.get("comment", "")}
-                self._tell(Report(said["valve"], utc(stamp), values))
+                self._tell(Report(said["valve"], _time_of(message), values))
 
     def _diagnose(self, message: DiagnosticArray, arrival: Arrival) -> None:
-        stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+        said = [(status.name, status.level[0], status.message[:_LONGEST]) for status in message.status]
         for valve, monitor in self._pairs:
             values: Values = {}
-            for status in message.status:
-                if status.name == f"{monitor.lstrip('/')}: valve":
-                    values |= {"Health.Level": status.level[0], "Health.Message": status.message}
+            for name, level, words in said:
+                if name == f"{monitor.lstrip('/')}: valve":
+                    values |= {"Health.Level": level, "Health.Message": words}
             prefix = f"{valve.lstrip('/')}: "
-            own = [
-                (status.level[0], status.name.removeprefix(prefix), status.message)
-                for status in message.status
-                if status.name.startswith(prefix)
-            ]
-            if own:
-                level, words = worst(own)
-                values |= {"Driver.Level": level, "Driver.Message": words}
+            if own := [
+                (level, name.removeprefix(prefix), words) for name, level, words in said if name.startswith(prefix)
+            ]:
+                values["Driver.Level"], values["Driver.Message"] = worst(own)
             if values:
-                self._tell(Report(valve, utc(stamp), values))
+                self._tell(Report(valve, _time_of(message), values))
+
+
+def _time_of(message: DiagnosticArray) -> datetime:
+    return utc(message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec)
 
 
 def hear_live(

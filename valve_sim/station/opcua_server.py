@@ -215,6 +215,11 @@ class StationServer:
         await node.write_attribute(ua.AttributeIds.Description, _text(figure.description))
         if figure.is_list:
             await node.write_value_rank(ua.ValueRank.OneDimension)
+        if figure.is_kept:
+            access = ua.AccessLevel.to_bitfield({ua.AccessLevel.CurrentRead, ua.AccessLevel.HistoryRead})
+            for attribute in (ua.AttributeIds.AccessLevel, ua.AttributeIds.UserAccessLevel):
+                await node.write_attribute(attribute, ua.DataValue(ua.Variant(access, ua.VariantType.Byte)))
+            await node.write_attribute(ua.AttributeIds.Historizing, ua.DataValue(True))
         if figure.unit:
             unit = ua.EUInformation(
                 NamespaceUri=_UNITS, UnitId=unit_id(figure.unit), DisplayName=ua.LocalizedText(figure.unit),
@@ -230,19 +235,11 @@ class StationServer:
         await (await node.get_child(self._name("SerialNumber"))).write_value(valve.serial_number)
         await node.set_event_notifier([ua.EventNotifier.SubscribeToEvents])
         period = timedelta(days=self._settings.history_days)
-        access = {ua.AccessLevel.CurrentRead, ua.AccessLevel.HistoryRead}
         for figure in FIGURES:
-            place = self._node_id(valve, figure.path)
-            variable = self._server.get_node(place)
-            if not figure.is_kept:
-                await self._server.write_attribute_value(place, _data_value(figure, None, datetime.now(timezone.utc)))
-                continue
-            await self._history.new_historized_node(place, period)
-            for attribute in (ua.AttributeIds.AccessLevel, ua.AttributeIds.UserAccessLevel):
-                bits = ua.Variant(ua.AccessLevel.to_bitfield(access), ua.VariantType.Byte)
-                await variable.write_attribute(attribute, ua.DataValue(bits))
-            await variable.write_attribute(ua.AttributeIds.Historizing, ua.DataValue(True))
-            last, _ = await self._history.read_node_history(place, None, None, 1)
+            place, last = self._node_id(valve, figure.path), []
+            if figure.is_kept:
+                await self._history.new_historized_node(place, period)
+                last, _ = await self._history.read_node_history(place, None, None, 1)
             unknown = _data_value(figure, None, datetime.now(timezone.utc))
             await self._server.write_attribute_value(place, last[0] if last else unknown)
         for name in self._actions:
@@ -269,11 +266,8 @@ class StationServer:
         @uamethod
         async def act(parent: Any) -> Any:
             valve = self._served_at(parent)
-            return (
-                ua.StatusCode(ua.StatusCodes.BadNodeIdInvalid)
-                if valve is None
-                else await self._actions[name](valve.name)
-            )
+            invalid = ua.StatusCode(ua.StatusCodes.BadNodeIdInvalid)
+            return invalid if valve is None else await self._actions[name](valve.name)
 
         return act  # type: ignore[no-any-return]
 
@@ -318,13 +312,6 @@ class StationServer:
     async def _tell(self, valve: ServedValve, alarm: Alarm) -> None:
         """Show an alarm and send its event: to who subscribes to the valve, then to who subscribes to the server."""
         await self._show(valve, alarm)
-        for emitter in (self._node_id(valve), ua.NodeId(ua.ObjectIds.Server)):
-            sent = self._event(valve, alarm)
-            sent.emitting_node = emitter
-            await self._server.iserver.subscription_service.trigger_event(sent)
-
-    def _event(self, valve: ServedValve, alarm: Alarm) -> Any:
-        event = Event(self._node_id(valve))
         fields = {
             "NodeId": ua.Variant(self._node_id(valve, "Alarm"), ua.VariantType.NodeId),
             "SourceNode": ua.Variant(self._node_id(valve), ua.VariantType.NodeId),
@@ -332,9 +319,11 @@ class StationServer:
             "ReceiveTime": ua.Variant(datetime.now(timezone.utc), ua.VariantType.DateTime),
             **_fields(alarm),
         }
-        for name, variant in fields.items():
-            event.add_property(name, variant.Value, variant.VariantType)
-        return event
+        for emitter in (self._node_id(valve), ua.NodeId(ua.ObjectIds.Server)):
+            event = Event(emitter)
+            for name, variant in fields.items():
+                event.add_property(name, variant.Value, variant.VariantType)
+            await self._server.iserver.subscription_service.trigger_event(event)
 
 
 class _History(HistorySQLite):

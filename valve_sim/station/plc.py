@@ -50,9 +50,9 @@ UNKNOWN_PHASE: Final = 0xFFFF
 _LARGEST: Final = 0xFFFF
 
 MAP: Final = (
-    Register(0, "heartbeat", "UINT16", "written by the PLC", "", "another number at least every watchdog time"),
+    Register(0, "heartbeat", "UINT16", "written by the PLC", "", "a new number within each watchdog time"),
     Register(1, "coil_command", "UINT16", "written by the PLC", "", "1: energise, 0: de-energise; others are refused"),
-    Register(10, "heartbeat_echo", "UINT16", "read by the PLC", "", "the heartbeat that was received last"),
+    Register(10, "heartbeat_echo", "UINT16", "read by the PLC", "", "last heartbeat that was received"),
     Register(
         11, "status", "UINT16", "read by the PLC", "",
         "bits: 0 is_open, 1 coil energised, 2 PLC silent, 3 a 0 has to be written before a 1 counts, 4 valve heard",
@@ -62,8 +62,8 @@ MAP: Final = (
     ),
     Register(13, "is_open", "UINT16", "read by the PLC", "", "1: the flow path is fully open"),
     Register(14, "outlet_pressure", "FLOAT32", "read by the PLC", "Pa", "absolute; NaN where it is not known"),
-    Register(16, "own_heartbeat", "UINT16", "read by the PLC", "", "another number at each cycle of this side"),
-    Register(17, "trips", "UINT16", "read by the PLC", "", "how often the watchdog has de-energised this coil"),
+    Register(16, "own_heartbeat", "UINT16", "read by the PLC", "", "a new number at each cycle of plc_node"),
+    Register(17, "trips", "UINT16", "read by the PLC", "", "times that the watchdog has de-energised the coil"),
 )  # fmt: skip
 """The register map of one valve; holding registers, which are read by functions 3 and 4 and written by 6 and 16."""
 
@@ -80,10 +80,12 @@ class Coil:
 
     def __init__(self, watchdog: float) -> None:
         self._watchdog = watchdog
-        self._heartbeat: int | None = None
+        self.heartbeat: int | None = None
         self._beat_at = -math.inf
-        self._command = 0
-        self._is_armed = False
+        self.command = 0
+        """The last one, obeyed or not."""
+        self.is_armed = False
+        """Whether a 1 counts."""
         self.is_heard = False
         """Whether the PLC has written to it."""
         self.trips = 0
@@ -93,13 +95,13 @@ class Coil:
         self.is_on(now)  # what ended before this write has ended, even if the PLC lives again
         self.is_heard = True
         if heartbeat is not None:
-            if self._heartbeat is not None and heartbeat != self._heartbeat:
+            if self.heartbeat is not None and heartbeat != self.heartbeat:
                 self._beat_at = max(now, self._beat_at)
-            self._heartbeat = heartbeat
+            self.heartbeat = heartbeat
         if command is not None:
-            self._command = command
-        if self._command == 0 and self.is_alive(now):
-            self._is_armed = True
+            self.command = command
+        if self.command == 0 and self.is_alive(now):
+            self.is_armed = True
 
     def is_alive(self, now: float) -> bool:
         """Whether the heartbeat has changed within the watchdog's time."""
@@ -108,25 +110,10 @@ class Coil:
     def is_on(self, now: float) -> bool:
         """Whether the coil is to be energised."""
         if not self.is_alive(now):
-            if self._is_armed and self._command:
+            if self.is_armed and self.command:
                 self.trips += 1
-            self._is_armed = False
-        return self._is_armed and self._command == 1
-
-    @property
-    def is_armed(self) -> bool:
-        """Whether a 1 counts."""
-        return self._is_armed
-
-    @property
-    def heartbeat(self) -> int:
-        """The last one; 0 before the first."""
-        return self._heartbeat or 0
-
-    @property
-    def command(self) -> int:
-        """The last one, obeyed or not."""
-        return self._command
+            self.is_armed = False
+        return self.is_armed and self.command == 1
 
 
 class _Heard(NamedTuple):
@@ -230,7 +217,7 @@ class PlcStation:
             registers = [0] * self.count
             for valve, (coil, heard) in enumerate(zip(self._coils, self._heard, strict=True)):
                 base = SPACING * valve
-                registers[base : base + COMMANDS] = [coil.heartbeat, coil.command]
+                registers[base : base + COMMANDS] = [coil.heartbeat or 0, coil.command]
                 for register, values in self._status(coil, heard, now):
                     first = base + register.offset
                     registers[first : first + register.width] = values
@@ -241,7 +228,7 @@ class PlcStation:
         bits = (heard.is_open and is_heard, is_on, not coil.is_alive(now), not coil.is_armed, is_heard)
         pressure = struct.unpack(">2H", struct.pack(">f", heard.outlet_pressure if is_heard else math.nan))
         values: dict[str, list[int]] = {
-            "heartbeat_echo": [coil.heartbeat],
+            "heartbeat_echo": [coil.heartbeat or 0],
             "status": [sum(1 << place for place, is_so in enumerate(bits) if is_so)],
             "phase": [heard.phase if is_heard and heard.phase is not None else UNKNOWN_PHASE],
             "is_open": [int(heard.is_open and is_heard)],

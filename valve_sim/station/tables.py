@@ -24,24 +24,24 @@ SAID: Final = (
 )
 """Topics of monitors and valves that are subscribed to."""
 LIVE: Final = (
-    Topic("{valve}/phase", "std_msgs/msg/UInt8", "in", "of the stroke", qos=LATCHED),
+    Topic("{valve}/phase", "std_msgs/msg/UInt8", "in", "phase of the stroke", qos=LATCHED),
     Topic("{valve}/is_open", "std_msgs/msg/Bool", "in", "whether the flow path is fully open", qos=LATCHED),
-    Topic("{valve}/coil_current", _FLOAT, "in", "by which it is known to live", "A", LATEST),
+    Topic("{valve}/coil_current", _FLOAT, "in", "shows that the valve's node runs", "A", LATEST),
     Topic("{valve}/outlet_pressure", _PRESSURE, "in", "behind a valve with gas", "Pa", LATEST),
 )
 """Topics of a valve that are published often; only the latest message counts."""
 ARCHIVE_TOPICS: Final = (
     *SAID,
-    Topic("{alarms}", _DIAGNOSTICS, "in", "who has acknowledged an alarm over OPC UA", qos=Qos(100)),
+    Topic("{alarms}", _DIAGNOSTICS, "in", "acknowledgements of alarms over OPC UA", qos=Qos(100)),
     Topic(
-        "{valve}/serviced", "std_srvs/srv/Trigger", "service", "keep that it was serviced: its strokes count anew",
+        "{valve}/serviced", "std_srvs/srv/Trigger", "service", "records a service; strokes count from 0 again",
         qos=None,
     ),
 )  # fmt: skip
 OPCUA_TOPICS: Final = (
     *SAID,
     *LIVE,
-    Topic("~/alarms", _DIAGNOSTICS, "out", "each alarm that a person has acknowledged", qos=Qos(100)),
+    Topic("~/alarms", _DIAGNOSTICS, "out", "each acknowledgement of an alarm", qos=Qos(100)),
 )
 PLC_TOPICS: Final = (Topic("{valve}/coil_voltage", _FLOAT, "out", "the command to each of `valves`", "V"), *LIVE)
 
@@ -53,16 +53,16 @@ class ArchiveSettings(NodeSettings):
     program = "archive_node"
 
     valves: tuple[str, ...] = option(
-        ("valve",), "the valves of which is kept what is said, relative to this node's namespace"
+        ("valve",), "names of the valves whose messages are archived, relative to the node's namespace"
     )
-    monitors: tuple[str, ...] = option(("monitor",), "the monitor of each valve, in the same order")
+    monitors: tuple[str, ...] = option(("monitor",), "monitor of each valve, in the same order")
     alarms: str = option(
         "opcua/alarms",
-        "the topic of an opcua_node that says who has acknowledged an alarm, relative likewise",
+        "topic on which an opcua_node publishes acknowledgements, relative to the node's namespace",
     )
-    folder: str = option("~/.local/share/valve_sim/archive", "of the archive")
-    years: float = option(10.0, "that are kept", "years", 0.01, 100.0)
-    megabytes: float = option(2000.0, "beyond which the oldest months are taken out", "MB", 1.0, 1e6)
+    folder: str = option("~/.local/share/valve_sim/archive", "folder of the archive")
+    years: float = option(10.0, "for which rows are kept", "years", 0.01, 100.0)
+    megabytes: float = option(2000.0, "size beyond which the oldest months are removed", "MB", 1.0, 1e6)
 
     def completed(self) -> ArchiveSettings:
         """These settings, if there is a monitor for each valve."""
@@ -77,16 +77,14 @@ class OpcUaSettings(NodeSettings):
 
     program = "opcua_node"
 
-    valves: tuple[str, ...] = option(("valve",), "the valves that are served, relative to this node's namespace")
-    monitors: tuple[str, ...] = option(("monitor",), "the monitor of each valve, in the same order")
-    serial_numbers: tuple[str, ...] = option(
-        ("",), "the serial number of each valve, in the same order; left out: none is known"
-    )
-    folder: str = option("~/.local/share/valve_sim/opcua", "of certificates, history and alarms")
-    address: str = option("0.0.0.0", "that the server listens on; 0.0.0.0: all of this machine")
-    port: int = option(4840, "that the server listens on", "", 1.0, 65535.0)
+    valves: tuple[str, ...] = option(("valve",), "names of the served valves, relative to the node's namespace")
+    monitors: tuple[str, ...] = option(("monitor",), "monitor of each valve, in the same order")
+    serial_numbers: tuple[str, ...] = option(("",), "serial number of each valve, in the same order; default: unknown")
+    folder: str = option("~/.local/share/valve_sim/opcua", "folder of certificates, history and alarms")
+    address: str = option("0.0.0.0", "address that the server listens on; 0.0.0.0: all of this machine")
+    port: int = option(4840, "port that the server listens on", "", 1.0, 65535.0)
     anonymous_read: bool = option(False, "whether clients without a certificate may read, without encryption")
-    history_days: float = option(3650.0, "of history that are kept", "days", 0.01, 36500.0)
+    history_days: float = option(3650.0, "for which history is kept", "days", 0.01, 36500.0)
 
     def completed(self) -> OpcUaSettings:
         """These settings, with a serial number for each valve, empty where none is given."""
@@ -105,21 +103,20 @@ class PlcSettings(NodeSettings):
 
     valves: tuple[str, ...] = option(
         ("valve",),
-        "the valves that are commanded and heard, relative to this node's namespace, in the order of the map",
+        "names of the valves that the PLC commands, relative to the node's namespace, in the order of the map",
     )
-    voltage: float = option(9.0, "of an energised coil", "V", 0.0, 1e4)
-    watchdog: float = option(0.5, "without another heartbeat, after which a coil is de-energised", "s", 0.01, 60.0)
+    voltage: float = option(9.0, "voltage of an energised coil", "V", 0.0, 1e4)
+    watchdog: float = option(0.5, "time without a new heartbeat after which a coil is de-energised", "s", 0.01, 60.0)
     plc_host: str = option(
         "",
-        "the PLC's address where it is the server; empty: this node is the server, which the PLC polls",
+        "address of a PLC that is the server; empty: this node is the server, and the PLC polls it",
     )
-    address: str = option("0.0.0.0", "that this server listens on; 0.0.0.0: all of this machine")
-    port: int = option(1502, "of this server, or of the PLC", "", 1.0, 65535.0)
-    first_register: int = option(0, "of the map in a PLC that is the server, counted from 0", "", 0.0, 60000.0)
-    unit: int = option(1, "identifier of a PLC that is the server", "", 0.0, 255.0)
+    address: str = option("0.0.0.0", "address that this server listens on; 0.0.0.0: all of this machine")
+    port: int = option(1502, "port of this server, or of the PLC", "", 1.0, 65535.0)
+    first_register: int = option(0, "first register of the map in a PLC that is the server, from 0", "", 0.0, 60000.0)
+    unit: int = option(1, "unit identifier of a PLC that is the server", "", 0.0, 255.0)
     rate: float = option(
-        100.0,
-        "of looks at the valves and the watchdogs, and of polls of a PLC that is the server", "Hz", 1.0, 1000.0,
+        100.0, "rate of the watchdogs, and of polling a PLC that is the server", "Hz", 1.0, 1000.0
     )  # fmt: skip
     low_word_first: bool = option(False, "whether the second half of a FLOAT32 is in the first register")
     map_file: str = option("", "a file to which the register map is written at the start, as CSV; empty: none")

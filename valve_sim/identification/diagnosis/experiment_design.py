@@ -61,10 +61,6 @@ class Recommendation:
 def recommend(candidates: Mapping[str, Fit], experiments: Sequence[Experiment]) -> Recommendation | None:
     """The experiment whose least separated pair of candidates is the most separated.
 
-    Args:
-        candidates: fits of the hypotheses between which the data cannot decide, by what people call them.
-        experiments: what could be recorded.
-
     Returns:
         None where no experiment separates them, or there are fewer than two candidates.
     """

@@ -37,9 +37,6 @@ class HandedOn(NamedTuple):
 def handed_on(result: Fit, intervals: Mapping[str, Interval]) -> HandedOn:
     """What of a fit may be set on a valve that runs.
 
-    Args:
-        result: of a valve. intervals: of what it freed, by name.
-
     Raises:
         SimulationError: the valve cannot be simulated with these values.
     """

@@ -223,9 +223,6 @@ def signal_errors(result: Fit, values: Mapping[str, float] | None = None) -> tup
     """How far off each channel is, as declared and with the values of a fit.
 
     Errors of the recordings that were estimated along are the same in both.
-
-    Args:
-        result: the fit. values: in place of its own.
     """
     problem, plant = result.problem, result.problem.plant
     values = result.values if values is None else values

@@ -48,9 +48,6 @@ class RecordingState:
 def state_of_recording(trace: Trace, valve: Valve, progress: Progress | None = None) -> RecordingState:
     """Estimate the errors of a recording beside the declared valve with refitted dampings.
 
-    Args:
-        trace: the recording. valve: as declared. progress: told what is being done, and the fraction done.
-
     Raises:
         SimulationError: the declared valve cannot be simulated.
         TraceError: the recording has columns that cannot be used, say with NaN in them.

@@ -99,10 +99,6 @@ def diagnose_plant(
 ) -> Diagnosis:
     """Trace the residual of any plant to the effect it lacks.
 
-    Args:
-        plant: the machine with its training data. holdout: the same machine with other data, or None.
-        progress, budget: as of `diagnose`.
-
     Raises:
         SimulationError: the declared model cannot be simulated.
     """

@@ -39,9 +39,6 @@ def followed_positions(found: Fit, rivals: Sequence[tuple[Fit, float]] = ()) -> 
     column s_j is a step of one standard error, so that what an impact bends over that range is not lost. Directions in
     which a simulation fails are left out. Other models of the same recordings, of weights w_k against 1, that have the
     positions x_k, add Σ_k w_k (x_k − x)² / (1 + Σ_k w_k).
-
-    Args:
-        found: a fit to a valve's recordings. rivals: other fits to them, with their weights.
     """
     plant = found.problem.plant
     if not follows_positions(plant):

@@ -64,10 +64,6 @@ def covariance_interval(result: Fit, name: str) -> Interval:
 def profile_interval(result: Fit, name: str) -> tuple[Interval, list[tuple[float, float]]]:
     """The 95 % interval by profile likelihood: where χ², all others refitted, has risen by 3.84: theory, eq. (33).
 
-    Args:
-        result: a converged fit.
-        name: one of its freed parameters.
-
     Returns:
         the interval, and the profile as (value, rise of χ²) pairs in ascending order of value.
     """

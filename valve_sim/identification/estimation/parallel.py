@@ -36,9 +36,6 @@ class Memo(Generic[Key, Result]):
 
     A plain dictionary would let two threads compute the same result, so that counted work would depend on their number.
 
-    Args:
-        work: the result of a key.
-
     Raises:
         Exception: when called, what the work raises, each time that this key is asked for.
     """

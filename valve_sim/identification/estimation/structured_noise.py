@@ -140,9 +140,6 @@ class StructuredNoise:
         """These errors; those of the machine and of its sensors' curves are as large as other recordings have them.
 
         What is held there is held here.
-
-        Args:
-            known: errors of other recordings; None: nothing is known.
         """
         if known is None:
             return self

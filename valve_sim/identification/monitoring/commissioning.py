@@ -99,11 +99,6 @@ class Commissioning:
 def commission_with(records: Sequence[StrokeRecord], declared: Valve, noise: float) -> Commissioning:
     """Estimate the baseline from strokes of a healthy valve.
 
-    Args:
-        records: the strokes.
-        declared: the valve as declared.
-        noise: standard deviation of the position sensor, m; 0 to estimate it.
-
     Raises:
         SimulationError: the declared valve cannot be simulated.
     """

@@ -130,9 +130,6 @@ def _plants(strokes: Sequence[Trace], baseline: Baseline) -> list[CommissionedPl
 def estimates(effects: Sequence[str], plant: Plant, intervals: Mapping[str, Interval]) -> dict[str, Interval]:
     """What was estimated of named effects, and of declared values that are named.
 
-    Args:
-        effects: their names. plant: whose effects they are. intervals: by the names that a fit frees.
-
     Returns:
         Intervals by `<effect>.<parameter>`, or by `valve.<name>`.
     """

@@ -40,11 +40,7 @@ def opening_fault(highest: float, valve: Valve) -> Fault:
 
 
 def held_fault(trace: Trace, valve: Valve, lateness: float = 0.0) -> Fault | None:
-    """Where the valve was held during a stroke of which only the current was measured; None if it moved.
-
-    Args:
-        trace: one stroke. valve: as commissioned, or as declared. lateness: s, by which samples are stamped late.
-    """
+    """Where the valve was held during a stroke of which only the current was measured; None if it moved."""
     free = _left(trace, valve, lateness)
     found = [(_left(trace, held, lateness), fault) for fault, held in _held(valve)]
     least, fault = min(found, key=lambda candidate: candidate[0])

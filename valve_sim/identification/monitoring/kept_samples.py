@@ -120,11 +120,7 @@ class KeptSamples:
         return replace(alone, coil_voltage=_known(at, self._voltages[:stop]))
 
     def voltage(self, trace: Trace, last: float) -> Signal | None:
-        """The voltage at the coil's terminals during a stroke, by its times; None where it was not measured.
-
-        Args:
-            trace: of the stroke. last: s, of the last voltage beside positions.
-        """
+        """The voltage at the coil's terminals during a stroke, by its times; None where it was not measured."""
         if not trace.has_positions:
             return trace.coil_voltage
         stop = bisect.bisect_right(self._current_times, last)

@@ -42,11 +42,7 @@ DIFFERENCE: Final = 1e-4
 
 
 def starts_by_lift(trace: Trace, valve: Valve) -> dict[str, Mapping[str, float]]:
-    """A starting point of each effect that exists with gas alone, by its name; none without gas or positions.
-
-    Args:
-        trace: some strokes. valve: as commissioned.
-    """
+    """A starting point of each effect that exists with gas alone, by its name; none without gas or positions."""
     if valve.gas is None or not trace.has_positions:
         return {}
     lift = _LiftTimes(trace, valve)

@@ -30,11 +30,6 @@ MEND: Final = "name another file, or, while the valve is healthy, delete this on
 def save_commissioning(path: Path, commissioning: Commissioning, declared: Valve) -> None:
     """Write the file, whole or not at all.
 
-    Args:
-        path: of the file; its folder is made.
-        commissioning: what is kept.
-        declared: the valve that it was made with.
-
     Raises:
         ParameterError: it cannot be written.
     """
@@ -45,10 +40,6 @@ def save_commissioning(path: Path, commissioning: Commissioning, declared: Valve
 
 def load_commissioning(path: Path, declared: Valve) -> Commissioning | None:
     """Read it again.
-
-    Args:
-        path: of the file.
-        declared: the valve as it is declared now.
 
     Returns:
         None where there is no such file yet.

@@ -70,10 +70,6 @@ class StrokeSegmenter:
     Times are seconds since any fixed moment. Samples come in the order of their times, and so do commands. Where no
     position comes, those of the coil's current are the samples; where the valve is then only the model says, so that
     neither opening nor closing is judged here, see `held_valve`.
-
-    Args:
-        valve: the declared valve.
-        settings: of the monitor.
     """
 
     def __init__(self, valve: Valve, settings: MonitorSettings) -> None:

@@ -107,12 +107,7 @@ class StrokeReport(NamedTuple):
 
 
 class StrokeMonitor:
-    """Strokes in, reports out. Some milliseconds per stroke; some seconds at the end of commissioning.
-
-    Args:
-        valve: the declared valve.
-        settings: of the monitor.
-    """
+    """Strokes in, reports out. Some milliseconds per stroke; some seconds at the end of commissioning."""
 
     def __init__(self, valve: Valve, settings: MonitorSettings) -> None:
         self._declared = valve

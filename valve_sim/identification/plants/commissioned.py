@@ -68,10 +68,6 @@ class CommissionedCurrent(NamedTuple):
 def commission_current(traces: Sequence[Trace], valve: Valve) -> CommissionedCurrent | None:
     """Compare the baseline strokes' currents with the model.
 
-    Args:
-        traces: one baseline stroke each, from rest.
-        valve: as commissioned.
-
     Returns:
         None where a stroke has no current, or one that the model does not explain.
     """

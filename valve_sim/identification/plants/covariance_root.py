@@ -18,9 +18,6 @@ def covariance_root(covariance: Array) -> Array:
 
     Values differ by ten orders of magnitude; scaled by their standard deviations they compare. What is not known at
     all (infinite) or exactly (0) is 0 in all columns.
-
-    Args:
-        covariance: (k, k) C.
     """
     known = np.isfinite(np.diag(covariance))
     kept = np.where(np.outer(known, known), covariance, 0.0)

@@ -82,9 +82,6 @@ class OwnPlant(Plant):
     All columns of a recording share a clock: it has no errors of stamps. Which inputs the machine may be given is not
     known: it has no experiments.
 
-    Args:
-        file: its equations. recordings: what was measured, one `Columns` for each.
-
     Raises:
         PlantFileError: its equations are more than the integrator has room for.
         MapError: a recording lacks an input or every output, or a unit does not fit.

@@ -81,9 +81,6 @@ def of_gas(name: str) -> str:
 class ToleratedValues:
     """The values of a valve that are known within a tolerance.
 
-    Args:
-        valve: as declared.
-
     Attributes:
         nuisances: one for each value, or principal axis, that has a tolerance.
     """

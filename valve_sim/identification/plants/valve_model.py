@@ -129,11 +129,7 @@ class ValveModel:
 
 
 def declared_effect(name: str, values: Mapping[str, float]) -> EffectChoice:
-    """The hypothesis that an effect which is declared is not as large as that; its shape stays as declared.
-
-    Args:
-        name: of the effect. values: of its parameters, as declared.
-    """
+    """The hypothesis that an effect which is declared is not as large as that; its shape stays as declared."""
     entry = CATALOGUE[name]
     switches = tuple(own._replace(off=values[own.name]) for own in entry.parameters if own.off is not None)
     return EffectChoice(name, switches, entry.confused_with, is_on=True)

@@ -136,11 +136,7 @@ def intervals_json(intervals: Mapping[str, Interval]) -> dict[str, dict[str, Any
 
 
 def interval_lines(plant: Plant, intervals: Mapping[str, Interval], width: int) -> list[str]:
-    """A table of refitted parameters beside their declared values, with a remark below an unusual interval.
-
-    Args:
-        plant: whose parameters they are. intervals: by name. width: of the column of 95 % intervals, characters.
-    """
+    """A table of refitted parameters beside their declared values, with a remark below an unusual interval."""
     column = max([28, *(len(name) + 2 for name in intervals)])
     lines = [f"{'parameter':<{column}}{'value ± standard error':<30}{'95 % interval':<{width}}declared"]
     for name, found in intervals.items():

@@ -19,11 +19,7 @@ from valve_sim.identification.reporting.monitoring_words import (
 
 
 def stroke_json(report: StrokeReport, valve: str) -> dict[str, Any]:
-    """Plain numbers in SI units; null for what is not known.
-
-    Args:
-        report: on a stroke whose record has a stamp. valve: full name of its node.
-    """
+    """Plain numbers in SI units; null for what is not known."""
     largest = sorted(report.scores.items(), key=lambda item: -abs(item[1]))[:3]
     plain = {
         "schema": "valve_sim/stroke/1",

@@ -42,9 +42,6 @@ SEARCHED: Final = 200
 def detection_limits(result: Fit, rivals: Rivals) -> dict[str, dict[str, float]]:
     """The smallest effects that would be named beside a fit in half of such recordings, each alone.
 
-    Args:
-        result: of the declared model, which lacks nothing. rivals: what may be missing.
-
     Returns:
         By effect and parameter, SI: by how much the parameter would have to differ from where it does nothing; of one
         that does nothing at infinity, its value. inf where nothing within its range would be named.

@@ -61,11 +61,7 @@ def competing_curves(base: Fit, say: Progress) -> list[NonparametricFit]:
 
 
 def fit_maps(base: Fit, known: Sequence[NonparametricFit], say: Progress) -> list[NonparametricFit]:
-    """All force maps on top of a fit, the best evidence first: what something unnamed looks like.
-
-    Args:
-        base: the fit. known: those of `competing_curves` beside it. say: told what is being tried.
-    """
+    """All force maps on top of a fit, the best evidence first: what something unnamed looks like."""
     done = [entry.choice for entry in known]
     maps = [one for one in base.problem.plant.force_maps if one not in done]
     found = [*known, *_fitted_each(maps, base, say)]

@@ -82,11 +82,7 @@ def _axes(result: Fit, own: list[int], values: Mapping[str, float], covariance: 
 
 
 class _Following:
-    """How the errors of a recording follow where values of the machine are others.
-
-    Args:
-        there: a fit of them.
-    """
+    """How the errors of a recording follow where values of the machine are others."""
 
     def __init__(self, there: Fit) -> None:
         self._fit, self._own = there, there.of_recordings
@@ -144,11 +140,7 @@ def predicted(result: Fit, there: Fit, size: float = 0.0) -> Predicted:
 
 
 class HeldOut:
-    """Held-out data of a machine, and what fits to its training data predict of them.
-
-    Args:
-        problem: the machine with other data, or with other strokes taking part; None where nothing is held out.
-    """
+    """Held-out data of a machine, and what fits to its training data predict of them."""
 
     def __init__(self, problem: Problem | None) -> None:
         self.problem = problem

@@ -103,9 +103,6 @@ class Tried:
 class Search:
     """Fits sets to one problem, and keeps what they are worth.
 
-    Args:
-        problem: training data, with the work that may be done. progress: told what is tried, and the fraction done.
-
     Attributes:
         tried: by set. untried: sets that were due when the work was used up. impossible: sets that cannot be simulated.
         begun: sets whose fits were given up, because they could not come near others.

@@ -92,11 +92,7 @@ def grid(interval: float) -> list[Mode]:
 
 
 def refined(mode: Mode, cost: Callable[[Mode], float], interval: float) -> Mode:
-    """The mode of the least cost near one of the grid, by a simplex in the logarithms of frequency and decay.
-
-    Args:
-        mode: of the grid. cost: of a mode. interval: of the samples, s.
-    """
+    """The mode of the least cost near one of the grid, by a simplex in the logarithms of frequency and decay."""
     from scipy.optimize import minimize
 
     start: Any = np.log([mode.frequency, mode.decay])
