@@ -5,6 +5,7 @@ event happens, against an independent reference (test/model/reference.py: SciPy'
 releases: valves whose current freewheels until a diode blocks, in closed form, by the same reference.
 derivatives: of positions and currents at a tolerance of 1e-11, to all that a trace depends on, against central
 differences of fourth order at 1e-13, over the largest value of each.
+jumps: valves whose friction falls with speed and whose forces jump: events and derivatives as above.
 gas: twenty valves with gas against test/plants/gas.py: event times, pressure, and what the tolerance leaves of times.
 
 Exits 1 where events are others, the largest difference is above 1e-11 s (1e-10 s for currents that freewheel), a
@@ -19,6 +20,7 @@ from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from model import jumps
 from model.derivatives import ACCURACY, errors_of
 from model.derivatives import random_case as random_derivatives
 from model.flux_cases import differences as differences_of_release
@@ -91,6 +93,31 @@ def derivatives(sets: int, tolerance: float) -> bool:
             worst.append(max((min(of_one) for of_one in errors if of_one), default=0.0))
         seed += 1
     return summary("valves, worst derivative", worst, ACCURACY, unknown)
+
+
+def jumping(sets: int, tolerance: float) -> bool:
+    """Events and the worst derivative of random valves whose friction falls with speed and whose forces jump.
+
+    Without those that the reference comes to no end with.
+    """
+    late, others, worst, unknown = list[float](), list[int](), list[float](), list[int]()
+    with jumps.registered():
+        for seed in range(sets):
+            case = jumps.random_case(seed)
+            try:
+                theirs = jumps.events_of(case)
+            except RuntimeError:
+                continue
+            ours = simulate(case.valve, case.drive, case.times, tolerance=tolerance, start_time=0.0).events
+            if [event.kind.name for event in ours] != [kind for _, kind in theirs]:
+                others.append(seed)
+                continue
+            late += [abs(event.time - when) for event, (when, _) in zip(ours, theirs, strict=True)]
+            errors = list(errors_of(case, case.names()).values())
+            unknown += [seed] if any(not of_one for of_one in errors) else []
+            worst.append(max((min(of_one) for of_one in errors if of_one), default=0.0))
+    is_late = summary("events of valves whose forces jump, s", late, LARGEST, others)
+    return all([is_late, summary("such valves, worst derivative", worst, ACCURACY, unknown)])
 
 
 # --- valves with gas --------------------------------------------------------------------------------------------------
@@ -186,7 +213,8 @@ def gas(sets: int, tolerance: float) -> bool:
 
 
 PARTS: Final = {
-    "valves": (valves, 1000), "releases": (releases, 1200), "derivatives": (derivatives, 300), "gas": (gas, len(CASES)),
+    "valves": (valves, 1000), "releases": (releases, 1200), "derivatives": (derivatives, 300), "jumps": (jumping, 2000),
+    "gas": (gas, len(CASES)),
 }  # fmt: skip
 """What is measured, and on how many."""
 

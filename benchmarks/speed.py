@@ -114,9 +114,9 @@ def batch(valve: Valve, drive: Drive, times: Any, count: int = ROW, threads: int
     return lambda: run_numbers(valve, numbers, drive, times, tolerance=TOLERANCE, threads=threads)
 
 
-def sloped(count: int) -> Work:
-    """Eight strokes of 100 samples with derivatives by so many parameters, once."""
-    directions, times = Directions.of(SEATED, STROKES, SIXTEEN[:count]), np.linspace(1e-4, 0.32, 100)
+def sloped() -> Work:
+    """Eight strokes of 100 samples with derivatives by sixteen parameters, once."""
+    directions, times = Directions.of(SEATED, STROKES, SIXTEEN), np.linspace(1e-4, 0.32, 100)
     return lambda: run_sloped(SEATED, STROKES, times, directions, tolerance=TOLERANCE)
 
 
@@ -133,8 +133,7 @@ def core(options: argparse.Namespace) -> list[Row]:
         "heating": (batch(HEATING, DRIVE, TIMES), ROW, 0.0),
         "stroke, 600 samples": (batch(DECLARED, STROKE, SAMPLES), ROW, 12.0),
         "eight strokes, 100 samples": (eight, ROW, 0.0),
-        "  with 4 derivatives": (sloped(4), 1, 250.0),
-        "  with 16 derivatives": (sloped(16), 1, 350.0),
+        "  with 16 derivatives": (sloped(), 1, 350.0),
         "10,000 openings, one thread": (batch(DECLARED, DRIVE, TIMES, MANY), MANY, 2.0),
         "  two threads": (batch(DECLARED, DRIVE, TIMES, MANY, 2), MANY, 0.0),
     }  # fmt: skip
@@ -178,7 +177,7 @@ def solvers(options: argparse.Namespace) -> list[Row]:
 def live(options: argparse.Namespace) -> list[Row]:
     """Steps of 1 ms by the raw entry, µs each."""
     rows = []
-    for name, every, most in (("idle", 0, 0.38), ("a stroke every 50 ms", 25, 0.73), ("a command every ms", 1, 2.9)):
+    for name, every, most in (("idle", 0, 0.8), ("a stroke every 50 ms", 25, 1.2), ("a command every ms", 1, 3.4)):
         best = float("inf")
         for _ in range(7):
             valve, volts, steps = Live.at_rest(DECLARED, 0.0, TOLERANCE), 0.0, 5000

@@ -13,6 +13,7 @@ settings.load_profile("seeded")
 
 SHARED = {
     "test_html.py": "the diagnosis of friction",
+    "test_properties.py": "the diagnosis of friction",
     "test_wording.py": "the diagnosis of friction",
     "test_golden.py": "the shipped recordings",
     "test_bags.py": "the shipped recordings",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import warnings
@@ -21,7 +22,7 @@ DRIVE = vs.Drive.of([0.01, 0.04], [9.0, 0.0])
 
 @pytest.fixture(scope="module")
 def trace() -> Trace:
-    return recording("friction")
+    return recording("one_opening")
 
 
 def test_every_public_name_is_there_and_completed() -> None:
@@ -31,10 +32,17 @@ def test_every_public_name_is_there_and_completed() -> None:
         vs.simulates  # noqa: B018
 
 
-def test_the_import_alone_loads_nothing_heavy() -> None:
-    program = "import sys, valve_sim; print(sorted({'numba', 'scipy', 'numpy', 'matplotlib'} & set(sys.modules)))"
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
+@pytest.mark.parametrize("chosen", [None, "2"])
+def test_the_import_alone_loads_nothing_heavy_and_asks_for_one_thread_unless_somebody_chose(chosen: str | None) -> None:
+    environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+    if chosen is not None:
+        environment["OPENBLAS_NUM_THREADS"] = chosen
+    program = (
+        "import os, sys, valve_sim; print(sorted({'numba', 'scipy', 'numpy', 'matplotlib'} & set(sys.modules)), "
+        "os.environ['OPENBLAS_NUM_THREADS'])"
+    )
+    ran = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
+    assert ran.stdout == f"[] {chosen or 1}\n"
 
 
 def test_a_simulation_is_a_table_a_picture_and_a_line() -> None:
@@ -48,12 +56,8 @@ def test_a_simulation_is_a_table_a_picture_and_a_line() -> None:
     assert run.plot()._repr_png_().startswith(b"\x89PNG")
     assert "t2 19.90 ms" in repr(run)
     assert run._repr_html_().count("<tr>") == 1 + len(run.events)
-
-
-def test_a_valve_that_stays_closed_says_so() -> None:
-    run = vs.simulate(vs.default_valve(), vs.Drive.of([0.0], [0.0]), np.arange(0.0, 0.01, 1e-4))
-    assert "not reached" in repr(run)
-    assert run.table_of_events() == []
+    closed = vs.simulate(vs.default_valve(), vs.Drive.of([0.0], [0.0]), np.arange(0.0, 0.01, 1e-4))
+    assert "not reached" in repr(closed) and closed.table_of_events() == []
 
 
 def test_the_residual_is_that_which_identify_reports() -> None:
@@ -71,6 +75,7 @@ def test_the_residual_is_that_which_identify_reports() -> None:
     assert found.plot()._repr_png_().startswith(b"\x89PNG")
 
 
+@pytest.mark.long
 def test_a_diagnosis_is_what_the_command_line_says(tmp_path: Path) -> None:
     found = diagnosed("friction")
     assert found.verdict.effects == ("coulomb_friction",)

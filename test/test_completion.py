@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import os
 import shutil
 import stat
@@ -18,11 +17,6 @@ from valve_sim.cli import COMPLETE_VAR, main
 
 ROOT = Path(__file__).parents[1]
 SCRIPTS = {"bash": "valve-sim", "zsh": "_valve-sim", "fish": "valve-sim.fish"}
-PLACES = {
-    "share/bash-completion/completions": "completions/valve-sim",
-    "share/zsh/site-functions": "completions/_valve-sim",
-    "share/fish/vendor_completions.d": "completions/valve-sim.fish",
-}
 
 
 @pytest.fixture
@@ -76,14 +70,3 @@ def test_the_script_asks_as_the_program_answers(shell: str, path: str) -> None:
     answer = subprocess.run([program], env=environment, capture_output=True, text=True, timeout=300, check=True)
     assert isinstance(main, click.Group)
     assert all(command in answer.stdout for command in main.commands)
-
-
-def test_the_scripts_are_installed_where_shells_look() -> None:
-    tree = ast.parse((ROOT / "setup.py").read_text(encoding="utf-8"))
-    pairs = {
-        (ast.literal_eval(node.elts[0]), ast.literal_eval(node.elts[1])[0])
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Tuple) and len(node.elts) == 2 and isinstance(node.elts[1], ast.List)
-        if all(isinstance(part, ast.Constant) for part in (node.elts[0], *node.elts[1].elts))
-    }
-    assert set(PLACES.items()) <= pairs

@@ -45,7 +45,7 @@ WITHOUT_ROS = ("docs/tutorials/first_diagnosis.md", "docs/tutorials/own_oscillos
 
 NOT_HERE = {
     "make run": "test_demo.py runs what it runs",
-    "make shell": "test_invocation.py types into one",
+    "make shell": "opens a shell for people",
     "make test": "is what runs this test",
     "make docs": "make test-long builds them, too",
     "rosdep install": "CI has neither rosdep nor colcon; test_packaging.py compares what would be installed",

@@ -8,7 +8,6 @@ import subprocess
 import sys
 import tarfile
 from collections.abc import Iterator
-from email.parser import HeaderParser
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -80,14 +79,3 @@ def test_a_source_distribution_holds_all_files_of_a_checkout(archive: tarfile.Ta
     }
     assert wanted - held == set()
     assert {"setup.py", "pyproject.toml", "package.xml", "Makefile", "LICENSE", "CHANGELOG.rst"} <= held
-
-
-def test_its_metadata_say_what_it_is(archive: tarfile.TarFile) -> None:
-    (name,) = (name for name in archive.getnames() if name.count("/") == 1 and name.endswith("/PKG-INFO"))
-    file = archive.extractfile(name)
-    assert file is not None
-    metadata = HeaderParser().parsestr(file.read().decode())
-    assert metadata["License"] == "Apache-2.0"
-    assert metadata["Description-Content-Type"] == "text/markdown"
-    assert metadata["Project-URL"] and metadata.get_all("Classifier")
-    assert (ROOT / "README.md").read_text(encoding="utf-8").splitlines()[0] in str(metadata.get_payload())

@@ -19,6 +19,9 @@ from valve_sim.model import (
     simulate,
 )  # fmt: skip
 
+from .random_valves import RANGES, TIMES, random_valve
+from .reference import reference
+
 STEP = Drive.of([0.0], [9.0])
 CALIBRATED = Valve().with_values(a0=3.0336, coil_time_constant=0.9934e-3)
 LATE = np.linspace(0.0, 0.03, 301)
@@ -65,6 +68,43 @@ def test_a_heavy_main_plunger_is_held_at_the_gap() -> None:
     response = simulate(valve, Drive.of([0.0, 1.5], [9.0, 0.0]), np.linspace(0, 1.5, 50))
     assert response.events[-1].kind is EventKind.HELD_AT_GAP
     assert response.pilot_position[-1] == valve.parameters.pilot_gap
+
+
+def differs(valve: Valve, drive: Drive, times: np.ndarray) -> str:
+    """How a run differs from that of an independent DOP853, if it does."""
+    ours, theirs = simulate(valve, drive, times), reference(valve.declared(), valve.effects, drive, times)
+    if [event.kind.name for event in ours.events] != [kind for _, kind in theirs.events]:
+        return f"{valve.effects}: other events"
+    late = max(
+        (abs(event.time - time) for event, (time, _) in zip(ours.events, theirs.events, strict=True)), default=0.0
+    )
+    away = max(np.abs(ours.pilot_position - theirs.pilot).max(), np.abs(ours.main_position - theirs.main).max())
+    return (
+        ""
+        if late < 1e-11 and away < 1e-11
+        else f"{valve.effects}: events off by {late:.1e} s, positions by {away:.1e} m"
+    )
+
+
+@pytest.mark.parametrize("name", RANGES)
+def test_an_effect_is_what_dop853_says(name: str) -> None:
+    effects = {name: {key: 0.9 * low + 0.1 * high for key, (low, high) in RANGES[name].items()}}
+    assert not differs(Valve(CALIBRATED.parameters, effects), Drive.of([1e-3, 16e-3], [9.0, 0.0]), TIMES)
+
+
+@pytest.mark.parametrize("seed", [34, 62, 44, 902, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(30))])
+def test_a_random_valve_moves_as_dop853_says(seed: int) -> None:
+    """`python -m benchmarks.accuracy` compares 1,000. Of these two have residual magnetism, and two bounce."""
+    assert not differs(*random_valve(seed), TIMES)
+
+
+def test_rests_in_mid_gap_and_at_the_gap_are_those_of_dop853() -> None:
+    """Friction holds the pilot on its way; half the voltage does not lift a main plunger, and lets it go again."""
+    rubbing = Valve(CALIBRATED.with_values(seat_load=0.1).parameters, {"coulomb_friction": {"force": 0.8}})
+    assert not differs(rubbing, Drive.of([0.0, 0.0025, 0.03], [9.0, 0.0, 9.0]), 1e-3 + 2.0 * TIMES)
+    held = CALIBRATED.with_values(seat_load=0.3, pickup_velocity_ratio=0.5)
+    for last in (9.0, 0.0):
+        assert not differs(held, Drive.of([0.0, 0.03], [4.5, last]), 2.0 * TIMES)
 
 
 def test_a_registered_effect_acts_as_the_built_in_one() -> None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import contextlib
 import runpy
 import sys
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any, NamedTuple
 from unittest import mock
 
@@ -26,24 +26,8 @@ class DeclareLaunchArgument(NamedTuple):
     description: str
 
 
-class IfElseSubstitution(NamedTuple):
-    """Stands for one of two texts, as an argument is true or not."""
-
-    condition: LaunchConfiguration
-    if_value: str
-    else_value: str
-
-    def perform(self, values: Mapping[str, str]) -> str:
-        return self.if_value if values[self.condition.name] == "true" else self.else_value
-
-
-class IfCondition(NamedTuple):
-    configuration: LaunchConfiguration
-
-    @property
-    def names(self) -> set[str]:
-        """The arguments that must be true."""
-        return {self.configuration.name}
+class OpaqueFunction(NamedTuple):
+    function: Callable[[Any], list[Any]]
 
 
 class Node(NamedTuple):
@@ -52,70 +36,64 @@ class Node(NamedTuple):
     package: str
     executable: str
     name: str
-    namespace: str
-    parameters: list[list[str | IfElseSubstitution] | dict[str, Any]]
-    condition: IfCondition | None = None
+    namespace: str | LaunchConfiguration
+    parameters: list[dict[str, Any]]
     output: str = ""
-    remappings: Sequence[tuple[str, Sequence[str | LaunchConfiguration]]] = ()
-    arguments: Sequence[str] = ()
     ros_arguments: Sequence[str | LaunchConfiguration] = ()
+    respawn: bool = False
+    respawn_delay: float = 0.0
 
     @property
     def full_name(self) -> str:
         return f"/{self.namespace}/{self.name}".replace("//", "/")
 
-    def is_started(self, values: Mapping[str, str]) -> bool:
-        return self.condition is None or all(values[name] == "true" for name in self.condition.names)
-
-    def file(self, values: Mapping[str, str]) -> Path:
-        """Its one parameter file."""
-        (parts,) = (given for given in self.parameters if isinstance(given, list))
-        return Path("".join(part if isinstance(part, str) else part.perform(values) for part in parts))
+    @property
+    def given(self) -> dict[str, Any]:
+        """All its parameters beside those of files."""
+        return {name: value for part in self.parameters for name, value in part.items()}
 
     def command_line(self, values: Mapping[str, str]) -> list[str]:
         """The words after the executable's name."""
-        words = ["--ros-args", *(word if isinstance(word, str) else values[word.name] for word in self.ros_arguments)]
-        words += ["-r", f"__node:={self.name}", "-r", f"__ns:=/{self.namespace}"]
-        for given in self.parameters:
-            if isinstance(given, list):
-                words += ["--params-file", str(self.file(values))]
-                continue
-            for name, value in given.items():
-                words += ["-p", f"{name}:={values[value.name] if isinstance(value, LaunchConfiguration) else value}"]
+
+        def text(value: Any) -> str:
+            found = values[value.name] if isinstance(value, LaunchConfiguration) else value
+            return str(found).lower() if isinstance(found, bool) else str(found)
+
+        words = ["--ros-args", *map(text, self.ros_arguments)]
+        words += ["-r", f"__node:={self.name}", "-r", f"__ns:=/{text(self.namespace)}"]
+        for name, value in self.given.items():
+            words += ["-p", f"{name}:={text(value)}"]
         return words
 
 
 class LaunchPlan(NamedTuple):
-    """Default values of the arguments by name, and all nodes."""
+    """Default values of the arguments by name, and what the file's entries become."""
 
     arguments: dict[str, str]
-    nodes: list[Node]
+    entries: list[Any]
 
-    def started(self, values: Mapping[str, str]) -> list[Node]:
+    def started(self, **values: str) -> list[Node]:
         """The nodes that are started with these values of arguments, the others as they are by default."""
-        return [node for node in self.nodes if node.is_started({**self.arguments, **values})]
+        context = SimpleNamespace(launch_configurations={**self.arguments, **values})
+        made = [entry.function(context) if isinstance(entry, OpaqueFunction) else [entry] for entry in self.entries]
+        return [node for nodes in made for node in nodes if isinstance(node, Node)]
 
     @contextlib.contextmanager
-    def running(self, folder: Path, namespaces: Collection[str], values: Mapping[str, str]) -> Iterator[None]:
+    def running(self, folder: Path, namespaces: Collection[str], **values: str) -> Iterator[None]:
         """The nodes of these namespaces while inside."""
         with contextlib.ExitStack() as stack:
-            for node in self.started(values):
+            for node in self.started(**values):
                 if node.namespace in namespaces:
-                    words = node.command_line({**self.arguments, **values})
-                    stack.enter_context(running(folder, words, node.executable))
+                    stack.enter_context(running(folder, node.command_line(self.arguments), node.executable))
             yield
 
 
 def read_launch_file(path: Path) -> LaunchPlan:
     """The plan of a launch file that has `generate_launch_description`."""
     stands_for = {
-        "launch": {"LaunchDescription": list},
-        "launch.actions": {"DeclareLaunchArgument": DeclareLaunchArgument},
-        "launch.conditions": {"IfCondition": IfCondition},
-        "launch.substitutions": {
-            "IfElseSubstitution": IfElseSubstitution,
-            "LaunchConfiguration": LaunchConfiguration,
-        },
+        "launch": {"LaunchDescription": list, "LaunchContext": object},
+        "launch.actions": {"DeclareLaunchArgument": DeclareLaunchArgument, "OpaqueFunction": OpaqueFunction},
+        "launch.substitutions": {"LaunchConfiguration": LaunchConfiguration},
         "launch_ros": {},
         "launch_ros.actions": {"Node": Node},
     }
@@ -125,4 +103,4 @@ def read_launch_file(path: Path) -> LaunchPlan:
     with mock.patch.dict(sys.modules, modules):
         entries = runpy.run_path(str(path))["generate_launch_description"]()
     arguments = {entry.name: entry.default_value for entry in entries if isinstance(entry, DeclareLaunchArgument)}
-    return LaunchPlan(arguments, [entry for entry in entries if isinstance(entry, Node)])
+    return LaunchPlan(arguments, [entry for entry in entries if not isinstance(entry, DeclareLaunchArgument)])

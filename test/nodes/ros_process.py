@@ -150,10 +150,12 @@ def ended(process: subprocess.Popen[str], number: int | None = None, code: int =
 
 
 @contextlib.contextmanager
-def piped(folder: Path, program: Sequence[str], **parameters: object) -> Iterator[subprocess.Popen[str]]:
+def piped(
+    folder: Path, program: Sequence[str], words: Sequence[str] = (), **parameters: object
+) -> Iterator[subprocess.Popen[str]]:
     """Python with a program that takes ROS parameters, while inside; its stderr is a pipe, read when it has ended."""
     pairs = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
-    command = [sys.executable, *program, "--ros-args", *pairs]
+    command = [sys.executable, *program, "--ros-args", *words, *pairs]
     environment = {**os.environ, "ROS_LOG_DIR": str(folder)}
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment) as process:
         try:
@@ -276,12 +278,16 @@ class Probe:
 
     def set_parameters(self, **values: Any) -> list[Any]:
         """Set parameters, `__` for a dot; the results."""
-        from rcl_interfaces.srv import SetParameters
         from rclpy.parameter import Parameter
 
-        parameters = [
-            Parameter(name.replace("__", "."), value=value).to_parameter_msg() for name, value in values.items()
-        ]
+        return self.set_messages(
+            [Parameter(name.replace("__", "."), value=value).to_parameter_msg() for name, value in values.items()]
+        )
+
+    def set_messages(self, parameters: Sequence[Any]) -> list[Any]:
+        """Set parameters that are messages; the results."""
+        from rcl_interfaces.srv import SetParameters
+
         return list(self.call("set_parameters", SetParameters, SetParameters.Request(parameters=parameters)).results)
 
     def parameters(self) -> dict[str, Any]:

@@ -41,12 +41,12 @@ def valve(in_own_domain: None, tmp_path_factory: pytest.TempPathFactory) -> Iter
 
 
 def commanding(
-    folder: Path, rows: str, **parameters: object
+    folder: Path, rows: str, remapped: tuple[str, ...] = (), **parameters: object
 ) -> contextlib.AbstractContextManager[subprocess.Popen[str]]:
     """command_profile while inside."""
     (folder / "profile.yaml").write_text(rows)
     given = {"profile": folder / "profile.yaml", "output": folder / "commanded.csv", **parameters}
-    return piped(folder, ("-m", "valve_sim.nodes", "command_profile"), **given)
+    return piped(folder, ("-m", "valve_sim.nodes", "command_profile"), remapped, **given)
 
 
 def stamps_of(heard: list[Any]) -> list[int]:
@@ -134,6 +134,22 @@ def test_who_only_listens_is_no_valve_nothing_is_commanded_and_no_file_left(valv
         pytest.fail(said)
     assert not volts
     assert not (tmp_path / "commanded.csv").exists()
+
+
+@pytest.mark.any_distribution
+def test_the_driver_of_a_coil_is_commanded_whatever_its_name_and_that_of_its_topic(
+    valve: Probe, tmp_path: Path
+) -> None:
+    volts = valve.hear("/driver/set_voltage", Float64)  # by this process, whose node is called /probe
+    with commanding(tmp_path, "[[0.1, 9.0], [0.2, 0.0]]", listener="/probe", patience=0.5) as process:
+        assert valve.until(lambda: process.poll() is not None, PATIENCE)
+        assert process.returncode == 1, "it does not hear this topic"
+    with commanding(
+        tmp_path, "[[0.1, 9.0], [0.2, 0.0]]", ("-r", "/valve/coil_voltage:=/driver/set_voltage"), listener="/probe"
+    ) as process:
+        assert valve.until(lambda: process.poll() is not None, PATIENCE)
+        ended(process)
+    assert [message.data for message in volts] == [9.0, 0.0]
 
 
 def test_the_valve_holds_no_voltage_after_all_of_this(valve: Probe) -> None:

@@ -19,8 +19,8 @@ from valve_sim.nodes.diagnostics import (
     valve_status,
 )
 from valve_sim.nodes.live_valve import LiveValve
-from valve_sim.nodes.monitor_work import InputCount
-from valve_sim.nodes.realtime import Timing
+from valve_sim.nodes.monitor_work import InputCount, StampCheck
+from valve_sim.nodes.realtime import NANOSECONDS, Timing
 
 GOOD = Timing(999.0, 1e-4, 2, 0, 0, 999, 2)
 
@@ -142,3 +142,35 @@ def test_a_monitor_that_waits_says_why_it_could_not_use_what_came() -> None:
         )
     count.samples += 1
     assert count.status(4.0, 0, "").level is Level.OK
+
+
+DAY = 86_400
+
+
+@pytest.mark.parametrize(
+    ("seconds", "is_simulated", "says"),
+    [
+        (
+            (-999 * DAY, -999 * DAY - 3),
+            False,
+            "/s is stamped 999 days behind this node's clock, which times commands; of a",
+        ),
+        ((5 * 3600,), False, "/s is stamped 5.0 h ahead of this node's clock"),
+        ((-0.5, -0.3, -0.9), False, "/s is stamped 0.3 s behind"),
+        ((999 * DAY,), True, "all must be stamped by /clock, or use_sim_time be false"),
+        ((-0.5, -0.01, -0.9), False, ""),
+        ((), False, ""),
+    ],
+)
+def test_samples_whose_stamps_are_of_another_clock_are_a_warning_with_its_mend(
+    seconds: tuple[float, ...], is_simulated: bool, says: str
+) -> None:
+    check, now = StampCheck(), 1_800_000_000 * NANOSECONDS
+    check.note("/s", 5, 0)  # before the first /clock
+    for apart in seconds:
+        check.note("/s", now + round(apart * NANOSECONDS), now)
+    words = check.look(is_simulated=is_simulated)
+    assert says in words
+    status = InputCount().status(1.0, 0, "a command", 0, words)
+    assert (status.level, status.message) == (Level.WARN, words or "waiting for a command")
+    assert check.look(is_simulated=is_simulated) == "", "since the last look none came"

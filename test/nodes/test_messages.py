@@ -9,6 +9,7 @@ import pytest
 
 from valve_sim.model import Phase, Reading
 from valve_sim.nodes.diagnostics import Level, Status
+from valve_sim.nodes.heard import UnusableMessageError
 
 pytest.importorskip("std_msgs.msg", reason="there is no ROS 2 here: its messages cannot be imported")
 
@@ -87,5 +88,5 @@ def test_the_position_of_the_pilot_plunger_is_found_by_its_name(
     if isinstance(found, float):
         assert messages.pilot_position(message) == found
     else:
-        with pytest.raises(messages.UnusableMessageError, match=found):
+        with pytest.raises(UnusableMessageError, match=found):
             messages.pilot_position(message)

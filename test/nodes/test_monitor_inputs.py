@@ -77,7 +77,9 @@ class Heard:
         def note(kind: str) -> Any:
             return lambda *values: self.taken.append((kind, *values))
 
-        take = Takers(*(note(kind) for kind in ("command", "position", "coil", "outlet", "end", "rejected")))
+        kinds = ("command", "position", "coil", "outlet", "end", "rejected")
+        self.stamps = list[tuple[str, int, int]]()
+        take = Takers(*(note(kind) for kind in kinds), lambda *stamp: self.stamps.append(stamp))
         node: Any = self.node
         clock: Any = Clock()
         self.inputs = MonitorInputs(node, clock, "/valve", f"/valve/{measured}", take, has_gas=True)
@@ -108,6 +110,7 @@ def test_a_sample_is_taken_after_all_pressures_that_were_heard_before_it() -> No
     assert heard.taken[:100] == [("outlet", stamp, 2e6 + stamp) for stamp in range(1, 101)]
     assert set(heard.taken[100:102]) == {("end", "demand_pressure", 3, 14e6), ("end", "inlet_pressure", 77, 26e6)}
     assert heard.taken[102:] == [("position", 5, 0.0, 77)]
+    assert heard.stamps == [("/valve/joint_states", 5, 77)]
 
 
 def test_what_a_simulated_valve_obeys_counts_in_place_of_what_it_is_told() -> None:

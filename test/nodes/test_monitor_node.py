@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from identification.live_strokes import LiveValve
 
-from nodes.ros import DiagnosticArray, Float64, JointState, String, Trigger
+from nodes.ros import DiagnosticArray, Float64, JointState, QoSProfile, ReliabilityPolicy, String, Trigger
 from valve_sim.nodes.messages import pilot_position, stamp_of
 
 from .plant_on_topics import PlantOnTopics
@@ -76,7 +76,9 @@ class Ears:
 
 @pytest.mark.any_distribution
 def test_a_driver_of_the_labs_own_sensor_is_heard_in_metres(probe: Probe, tmp_path: Path) -> None:
-    heard, lvdt = probe.hear("measured/joint_states", JointState), probe.talker("/lab/lvdt", Float64)
+    heard, lvdt = list[JointState](), probe.talker("/lab/lvdt", Float64)
+    best_effort = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+    probe.node.create_subscription(JointState, "/valve/measured/joint_states", heard.append, best_effort)
     with piped(tmp_path, [str(ROOT / "docs" / "examples" / "sensor_driver.py")]) as process:
         before = time.time_ns()
         assert probe.until(lambda: lvdt.publish(Float64(data=11.5)) is None and probe.until(lambda: heard, 0.05))
@@ -220,6 +222,28 @@ def test_bad_samples_are_counted_and_harm_nothing(probe: Probe, tmp_path: Path) 
         samples.publish(joints(["main_plunger", "pilot_plunger"], [0.0, 1e-6]))
         assert probe.until(lambda: sum(ears.input_counts()) == heard + 4), "a message was not counted"
         assert ears.input_counts() == (heard + 1, 3)
+
+
+@pytest.mark.any_distribution
+def test_samples_of_an_old_recording_beside_commands_of_now_are_warned_of(probe: Probe, tmp_path: Path) -> None:
+    """As `ros2 bag play` sends them without --clock."""
+    ears = Ears(probe)
+    samples = probe.talker("measured/joint_states", JointState)
+    old = 1_709_390_268
+
+    def play() -> bool:
+        message = JointState(name=["pilot_plunger"], position=[0.0])
+        message.header.stamp.sec, message.header.stamp.nanosec = old, time.monotonic_ns() % 1_000_000_000
+        samples.publish(message)
+        ears.voltage.publish(Float64(data=9.0))
+        probe.spin_for(0.01)
+        return ears.is_said("input", 1, "/valve/measured/joint_states is stamped")
+
+    with monitoring(tmp_path, measured="measured/joint_states") as process:
+        assert probe.until(play)
+        assert ears.is_said("input", 1, f"stamped {(time.time() - old) / 86_400:.0f} days behind this node's clock")
+        said = ended(process, signal.SIGINT)
+    assert "use_sim_time:=true, ros2 bag play --clock" in said
 
 
 def joints(names: list[str], positions: list[float]) -> JointState:

@@ -190,11 +190,16 @@ def test_what_cannot_be_is_refused_with_its_source(name: str, value: object, sou
         ("valve.pilot_damping", 3, 3.0),
         ("valve.pilot_damping", True, True),
         ("valve.attraction_polynomial", [1, 2.0], [1.0, 2.0]),
+        ("valve.attraction_polynomial", "[0.0, 1e-05, inf]", [0.0, 1e-5, math.inf]),
+        ("valve.attraction_polynomial", "[0.0, few]", ["0.0", " few"]),
+        ("tolerances.stroke", "1e-06", 1e-6),
+        ("effects.magnetic_saturation.current", "inf", math.inf),
+        ("valve.pilot_damping", "stiff", "stiff"),
         ("frame_id", 3, 3),
         ("use_sim_time", 1, 1),
     ],
 )
-def test_integers_set_at_run_time_become_doubles_where_doubles_belong(
+def test_integers_and_what_ros2_param_load_makes_of_a_dump_become_doubles_where_doubles_belong(
     name: str, value: object, declared: object
 ) -> None:
     found = as_declared(name, value, ENTRIES)

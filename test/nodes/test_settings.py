@@ -47,6 +47,13 @@ def test_the_valve_of_a_monitor_is_dumped_as_a_file_of_the_same_valve(tmp_path: 
     assert load_valve(dump(values, tmp_path / "dump.yaml", "/monitor")) == load_valve(path)
 
 
+def test_a_dump_of_command_profile_is_a_file_for_it_again(tmp_path: Path) -> None:
+    values = asdict(ProfileSettings.read({"profile": "a.csv", "valve": "/tank_1/valve"}, {}))
+    path = dump(values, tmp_path / "dump.yaml", "/command_profile")
+    ((_, section),) = read_files(["", "--ros-args", "--params-file", str(path)])
+    assert asdict(ProfileSettings.read(section.values, {})) == values
+
+
 def test_a_serial_number_that_is_not_given_is_not_known() -> None:
     two = OpcUaSettings.read({"valves": TWO, "monitors": ["c", "d"]}, {})
     assert two.serial_numbers == ("", "")

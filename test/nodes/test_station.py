@@ -16,12 +16,11 @@ from valve_sim.nodes.starting import read_files
 from valve_sim.station.tables import ArchiveSettings, OpcUaSettings, PlcSettings
 
 from .clockwork import Clockwork
-from .launch_plan import IfElseSubstitution, LaunchConfiguration, LaunchPlan, read_launch_file
+from .launch_plan import LaunchPlan, read_launch_file
 from .ros_process import Probe
 
 LAUNCH_FILE = Path(__file__).parents[2] / "launch" / "station.launch.py"
 TANKS = ("tank_1", "tank_2", "tank_3")
-CHECKED = {"opcua": OpcUaSettings, "plc": PlcSettings, "archive": ArchiveSettings}
 COMMISSIONING = 8
 """Strokes, the fewest that are allowed."""
 WITH_GAS = (0.1, 0.12, 0.1)
@@ -35,66 +34,78 @@ def plan() -> LaunchPlan:
     return read_launch_file(LAUNCH_FILE)
 
 
-def test_each_tank_has_a_valve_and_a_monitor(plan: LaunchPlan) -> None:
-    assert {(node.full_name, node.executable) for node in plan.started({})} == {
+def test_each_tank_has_a_valve_and_a_monitor_with_one_parameter_file(plan: LaunchPlan) -> None:
+    nodes = plan.started()
+    assert {(node.full_name, node.executable) for node in nodes} == {
         (f"/{tank}/{name}", f"{name}_node") for tank in TANKS for name in ("valve", "monitor")
     }
-    assert {node.executable for node in plan.started({"monitors": "false"})} == {"valve_node"}
-
-
-def test_both_nodes_of_a_tank_have_its_parameter_file(plan: LaunchPlan) -> None:
-    for node in (node for node in plan.nodes if node.namespace):
-        for gas, name in (("false", f"{node.namespace}.yaml"), ("true", f"gas_{node.namespace}.yaml")):
-            file = node.file({"gas": gas})
-            assert file.is_file()
-            assert file.name == name
+    assert {node.executable for node in plan.started(monitors="false")} == {"valve_node"}
+    for gas in ("false", "true"):
+        for node in plan.started(gas=gas):
+            ((file, _),) = read_files(["", *node.command_line({})])
+            assert file.endswith(f"{'gas_' if gas == 'true' else ''}{node.namespace}.yaml")
             assert (load_valve(file).gas is None) is (gas == "false")
 
 
-def test_every_argument_sets_the_parameter_of_its_name(plan: LaunchPlan) -> None:
-    used = {name for node in plan.nodes if node.condition for name in node.condition.names}
-    for node in plan.nodes:
-        for given in node.parameters:
-            if isinstance(given, list):
-                used |= {part.condition.name for part in given if isinstance(part, IfElseSubstitution)}
-                continue
-            for name, value in given.items():
-                if isinstance(value, LaunchConfiguration):
-                    assert value.name == name
-                    used.add(name)
-    assert used == set(plan.arguments)
+def test_tanks_folders_ports_restarts_and_words_are_arguments(plan: LaunchPlan, tmp_path: Path) -> None:
+    (tmp_path / "a.yaml").write_text("/**: {ros__parameters: {valve: {stroke: 1.2e-3}}}")
+    values = {
+        "tanks": "north/a", "config": str(tmp_path), "state": "/var/lib/x", "publish_rate": "100", "respawn": "true",
+        "log_level": "warn", "commissioning_strokes": "9", "opcua": "true", "opcua_port": "5000", "plc": "true",
+        "plc_port": "600", "archive": "true", "archive_folder": "/var/lib/y", "use_sim_time": "true",
+    }  # fmt: skip
+    nodes = {node.full_name: node for node in plan.started(**values)}
+    assert list(nodes) == ["/north/a/valve", "/north/a/monitor", "/opcua", "/plc", "/archive"]
+    assert all(node.respawn and node.given["use_sim_time"] is True for node in nodes.values())
+    assert all(list(node.ros_arguments[:2]) == ["--log-level", "warn"] for node in nodes.values())
+    valve, monitor = nodes["/north/a/valve"], nodes["/north/a/monitor"]
+    assert (valve.given["publish_rate"], monitor.given["commissioning_strokes"]) == (100.0, 9)
+    assert monitor.given["state"] == "/var/lib/x/north_a.json"
+    assert str(tmp_path / "a.yaml") in valve.ros_arguments
+    opcua = OpcUaSettings.read(without_time(nodes["/opcua"].given), {})
+    assert (opcua.valves, opcua.monitors, opcua.port) == (("north/a/valve",), ("north/a/monitor",), 5000)
+    assert PlcSettings.read(without_time(nodes["/plc"].given), {}).port == 600
+    assert ArchiveSettings.read(without_time(nodes["/archive"].given), {}).folder == "/var/lib/y"
+    with pytest.raises(RuntimeError, match="expected namespaces"):
+        plan.started(tanks=" , ")
 
 
-def test_the_page_names_every_argument_with_its_default(plan: LaunchPlan) -> None:
-    page = (LAUNCH_FILE.parents[1] / "docs" / "how_to" / "station.md").read_text(encoding="utf-8")
+def without_time(given: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in given.items() if name != "use_sim_time"}
+
+
+def test_every_argument_changes_what_is_started(plan: LaunchPlan) -> None:
+    on = {"opcua": "true", "plc": "true", "archive": "true"}
+    others = {"true": "false", "false": "true", "info": "debug", "tank_1,tank_2,tank_3": "tank_1", "": "/x"}
     for name, default in plan.arguments.items():
-        assert f"| `{name}` | `{default}` |" in page
+        values = {**on, name: others.get({**plan.arguments, **on}[name], "/etc/x" if name == "config" else "17")}
+        assert plan.started(**values) != plan.started(**on), name
+        assert default == plan.arguments[name]
 
 
-@pytest.mark.parametrize("name", CHECKED)
-def test_a_node_is_started_where_it_is_asked_for_with_all_valves(plan: LaunchPlan, name: str, tmp_path: Path) -> None:
-    assert name not in {node.name for node in plan.started({})}
-    (node,) = [node for node in plan.started({name: "true"}) if node.name == name]
-    given = {key: value for part in node.parameters if isinstance(part, dict) for key, value in part.items()}
-    assert isinstance(given.pop("use_sim_time"), LaunchConfiguration)
+def test_the_page_names_every_argument(plan: LaunchPlan) -> None:
+    page = (LAUNCH_FILE.parents[1] / "docs" / "how_to" / "station.md").read_text(encoding="utf-8")
+    for name in plan.arguments:
+        assert f"| `{name}` | " in page
+
+
+def test_lists_reach_a_node_as_launch_ros_writes_them(plan: LaunchPlan, tmp_path: Path) -> None:
+    (node,) = (node for node in plan.started(opcua="true") if node.name == "opcua")
     # launch_ros makes tuples of lists, dumps them with the tag of Python's, and gives the node the name of that file.
-    evaluated = {key: tuple(value) if isinstance(value, list) else value for key, value in given.items()}
+    given = {key: tuple(value) if isinstance(value, list) else value for key, value in without_time(node.given).items()}
     file = tmp_path / "launch_params"
-    file.write_text(yaml.dump({node.full_name: {"ros__parameters": evaluated}}, default_flow_style=False))
+    file.write_text(yaml.dump({node.full_name: {"ros__parameters": given}}, default_flow_style=False))
     assert "!!python/tuple" in file.read_text()
     (section,) = read_sections(file)
-    settings: Any = CHECKED[name].read(section.values, {})
-    assert settings.valves == ("tank_1/valve", "tank_2/valve", "tank_3/valve")
-    if hasattr(settings, "monitors"):
-        assert settings.monitors == ("tank_1/monitor", "tank_2/monitor", "tank_3/monitor")
+    assert OpcUaSettings.read(section.values, {}).valves == tuple(f"{tank}/valve" for tank in TANKS)
 
 
-def test_a_parameter_file_that_is_not_there_ends_the_valve_that_should_have_it() -> None:
-    plan = read_launch_file(LAUNCH_FILE.with_name("valve.launch.py"))
-    (valve,) = plan.nodes
-    with pytest.raises(ParameterError, match=r"nowhere\.yaml: cannot be read"):
-        read_files(valve.command_line({**plan.arguments, "params_file": "nowhere.yaml"}))
-    assert len(read_files(valve.command_line(plan.arguments))) == 1
+def test_a_parameter_file_that_is_not_there_ends_the_valve_that_should_have_it(plan: LaunchPlan) -> None:
+    (valve,) = read_launch_file(LAUNCH_FILE.with_name("valve.launch.py")).started()
+    values = {"namespace": "", "use_sim_time": "false", "params_file": "nowhere.yaml"}
+    for words in (valve.command_line(values), plan.started(config="nowhere")[0].command_line({})):
+        with pytest.raises(ParameterError, match=r"nowhere.*\.yaml: cannot be read"):
+            read_files(words)
 
 
 @pytest.mark.long
@@ -109,7 +120,7 @@ def test_a_fault_in_one_valve_is_reported_by_its_own_monitor(
     healthy, faulty = probes = [Probe("/tank_1/valve"), Probe("/tank_2/valve")]
     try:
         values = {"use_sim_time": "true", "commissioning_strokes": str(COMMISSIONING)}
-        with plan.running(tmp_path, ("tank_1", "tank_2"), values):
+        with plan.running(tmp_path, ("tank_1", "tank_2"), **values):
             heard = healthy.hear("/diagnostics", DiagnosticArray)
             clockwork = Clockwork(probes)
             clockwork.wait_for_all()
@@ -136,7 +147,7 @@ def test_with_gas_a_leak_is_an_alarm_and_a_healthy_valve_is_none(
     probe = Probe("/tank_2/valve")
     try:
         values = {"gas": "true", "use_sim_time": "true", "commissioning_strokes": str(COMMISSIONING)}
-        with plan.running(tmp_path, ("tank_2",), values):
+        with plan.running(tmp_path, ("tank_2",), **values):
             clockwork = Clockwork([probe], WITH_GAS)
             clockwork.wait_for_all()
             clockwork.reported_strokes(COMMISSIONING)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import array
 import itertools
 import math
 import time
@@ -25,6 +26,7 @@ from nodes.ros import (
     Time,
     Trigger,
     UInt8,
+    parameter_dict_from_yaml_file,
     serialize_message,
 )
 from valve_sim.files.parameter_files import load_valve
@@ -213,6 +215,9 @@ def test_parameters_are_validated_and_applied_without_a_jump(rested: Probe) -> N
     assert "expected 0 < pilot_gap < stroke" in bad[1].reason
     assert "expected four numbers" in bad[3].reason
     assert rested.parameters()["valve.pilot_gap"] == 0.26e-3
+    (long,) = rested.set_parameters(frame_id="x" * 5_000_000)
+    assert not long.successful
+    assert long.reason.endswith("frame_id: found 5000000 characters, expected at most 4096")
     back = rested.set_parameters(valve__spring_rate=428.0, effects__stiction__force=0.0, publish_rate=1000.0)
     assert [result.successful for result in back] == [True] * 3
 
@@ -257,16 +262,27 @@ def test_is_open_is_said_when_it_changes_and_not_at_each_phase(rested: Probe) ->
     assert len(phases) > 8
 
 
-def test_dumped_parameters_can_be_loaded_again_by_the_valve_of_a_tank(rested: Probe, tmp_path: Path) -> None:
-    changes = {"valve__main_damping": 3.5, "effects__magnetic_saturation__current": 2.0, "frame_id": "tank"}
+def test_dumped_parameters_can_be_loaded_again(rested: Probe, tmp_path: Path) -> None:
+    changes = {
+        "valve__main_damping": 3.5, "effects__magnetic_saturation__current": 2.0, "frame_id": "tank",
+        "tolerances__stroke": 2.5e-6,
+    }  # fmt: skip
+    own = rested.parameters()
+    assert set(map(type, own.values())) <= {bool, float, str, array.array}
+    assert own["effects.magnetic_saturation.current"] == math.inf
+    path = dump(own, tmp_path / "own.yaml", "/valve")
     assert all(result.successful for result in rested.set_parameters(**changes))
-    values = rested.parameters()
-    originals = {"valve__main_damping": 4.0, "effects__magnetic_saturation__current": math.inf, "frame_id": ""}
-    assert all(result.successful for result in rested.set_parameters(**originals))
-    path = dump(values, tmp_path / "dump.yaml", "/tank_2/valve")
+    changed = rested.parameters()
+    loaded = parameter_dict_from_yaml_file(str(path), target_nodes=["/valve"])
+    # As `ros2 param load` does: it sends 1e-06 and inf as texts.
+    results = {name: rested.set_messages([message])[0] for name, message in loaded.items()}
+    refused = {name for name, result in results.items() if not result.successful}
+    assert refused <= {"start_type_description_service"}, "which is ROS's own"
+    assert plain_values(rested.parameters()) == plain_values(own)
+    path = dump(changed, tmp_path / "changed.yaml", "/tank_2/valve")
     with beside(tmp_path, "/tank_2/valve", ["--params-file", str(path)]) as (tank, _):
         joints, heard = tank.hear("joint_states", JointState), Diagnostics(tank)
-        assert plain_values(tank.parameters()) == plain_values(values)
+        assert plain_values(tank.parameters()) == plain_values(changed)
         assert tank.until(lambda: joints and heard.all("timing"))
         assert joints[-1].header.frame_id == "tank"
 

@@ -39,6 +39,7 @@ from valve_sim.files.parameter_sections import (
     ROOT_KEYS,
     Dumper,
     default_values,
+    is_a_name,
     read_sections,
 )
 from valve_sim.files.resources import config_path
@@ -94,6 +95,8 @@ def valve_from_flat(values: Mapping[str, object], source: str, base: Valve | Non
     gas: dict[str, object] = dict(mapping.get("gas", {}))
     for name, value in values.items():
         root, _, rest = name.partition(".")
+        if is_a_name(name, value):
+            continue
         if name in (COVARIANCE_NAME, f"valve.{COVARIANCE_NAME}"):
             raise ParameterError(f"{source}: {name}: found {short(value)}, expected it as tolerances.{COVARIANCE_NAME}")
         if root == "valve":

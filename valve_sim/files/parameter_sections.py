@@ -48,7 +48,14 @@ class Section(NamedTuple):
     @property
     def is_about_valve(self) -> bool:
         """Whether a valve, its effects or its tolerances are among the parameters."""
-        return any(name.partition(".")[0] in ROOT_KEYS for name in self.values)
+        return any(
+            name.partition(".")[0] in ROOT_KEYS and not is_a_name(name, self.values[name]) for name in self.values
+        )
+
+
+def is_a_name(name: str, value: object) -> bool:
+    """Whether this is a parameter `valve` that holds a name, as command_profile has one, and no group of numbers."""
+    return name == "valve" and isinstance(value, str)
 
 
 def read_sections(path: Path | str) -> tuple[Section, ...]:

@@ -14,6 +14,7 @@ from std_msgs.msg import Bool, Float64, Header, UInt8
 
 from valve_sim.model import Phase, Reading
 from valve_sim.nodes.diagnostics import Status
+from valve_sim.nodes.heard import UnusableMessageError
 from valve_sim.nodes.realtime import LAST_STAMP, NANOSECONDS
 
 JOINT_NAMES: Final = ("pilot_plunger", "main_plunger")
@@ -106,10 +107,6 @@ def diagnostic_array(statuses: Iterable[Status], node: str, stamp: int) -> Diagn
         for status in statuses
     ]
     return message
-
-
-class UnusableMessageError(Exception):
-    """A message that does not hold what is wanted; the text says why."""
 
 
 def stamp_of(message: Any) -> int:

@@ -35,6 +35,7 @@ from valve_sim.nodes.monitor_work import (
     HealthLog,
     InputCount,
     MonitorThread,
+    StampCheck,
     finding_status,
     health_status,
     isolation_status,
@@ -54,6 +55,8 @@ _PAUSE: Final = 40e-3
 them costs as much as ten samples. What a stroke shows is known when it has ended."""
 _PAUSE_IF_HEARD: Final = 10e-3
 """s, where each sample's prediction is heard: at 1 kHz no more at a time than the ten that a subscriber queues."""
+BETWEEN_REMINDERS: Final = 60.0
+"""s between lines of the log about stamps of another clock."""
 _JUMP_SECONDS: Final = 1.0
 """A stamp that goes back by more means a clock that was set or a bag that restarted, not a sample out of order."""
 
@@ -79,8 +82,11 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
         measured = full_name(self._node, f"{self._valve}/{self._settings.measured}", "measured")
         self._state = Path(self._settings.state).expanduser() if self._settings.state else None
         self._kept = None if self._state is None else load_commissioning(self._state, valve)
-        self._input = InputCount()
-        take = Takers(self._command, self._sample, self._coil, self._pressure, self._end_pressure, self._input.reject)
+        self._input, self._stamps = InputCount(), StampCheck()
+        take = Takers(
+            self._command, self._sample, self._coil, self._pressure, self._end_pressure, self._input.reject,
+            self._stamps.note,
+        )  # fmt: skip
         has_gas = valve.gas is not None
         self._inputs = MonitorInputs(self._node, self._clock, self._valve, measured, take, has_gas=has_gas)
         self._epoch: int | None = None
@@ -242,11 +248,13 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
         elif self._is_ready and not self._input.commands:
             waiting_for = f"a command on {self._inputs.voltage}"
         unheard = self._inputs.incompatible_publishers()
+        if stamps := self._stamps.look(is_simulated=self._clock.is_simulated):
+            self._node.get_logger().warning(stamps, throttle_duration_sec=BETWEEN_REMINDERS)
         wanted = self._settings.commissioning_strokes
         return (
             health_status(self._segmenter.fault, self._stroke_monitor, self._last_report, wanted, self._isolation),
             model_status(self._stroke_monitor),
-            self._input.status(self._clock.elapsed(), self._monitor_thread.lost, waiting_for, unheard),
+            self._input.status(self._clock.elapsed(), self._monitor_thread.lost, waiting_for, unheard, stamps),
             isolation_status(self._isolation),
         )
 

@@ -10,7 +10,8 @@ from typing import Any, Final, NamedTuple
 from rclpy.node import Node
 
 from valve_sim.nodes import topics
-from valve_sim.nodes.messages import UnusableMessageError, pilot_position, stamp_of
+from valve_sim.nodes.heard import UnusableMessageError
+from valve_sim.nodes.messages import pilot_position, stamp_of
 from valve_sim.nodes.node_clock import NodeClock
 from valve_sim.nodes.realtime import Arrival
 from valve_sim.nodes.receiving import Inbox, Source
@@ -27,7 +28,7 @@ class Takers(NamedTuple):
         command: stamp, ns, and volts. position: stamp, m, and the time of reception, ns, 0 where not known.
         coil: stamp, A, V or nan, and the time of reception. pressure: stamp and Pa, behind a valve with gas.
         end_pressure: name, stamp and Pa, of its tank or of what its demand's orifice leads to.
-        reject: why a message cannot be used.
+        reject: why a message cannot be used. stamped: topic, stamp and ROS time of each stamped message, ns.
     """
 
     command: Callable[[int, float], None]
@@ -36,6 +37,7 @@ class Takers(NamedTuple):
     pressure: Callable[[int, float], None]
     end_pressure: Callable[[str, int, float], None]
     reject: Callable[[str], None]
+    stamped: Callable[[str, int, int], None]
 
 
 class MonitorInputs:
@@ -66,7 +68,7 @@ class MonitorInputs:
         if not self.by_current:
             self._receive("{measured}", self._on_position)
         self._unstamped_current = self._receive("{sensors}/coil_current", self._on_unstamped_current)
-        self._receive("{sensors}/coil", self._on_coil)
+        self._coil = self._receive("{sensors}/coil", self._on_coil).topic
 
     def incompatible_publishers(self) -> int:
         """How many publishers of commands cannot be heard, because they offer best effort."""
@@ -97,7 +99,7 @@ class MonitorInputs:
         except UnusableMessageError as error:
             self._take.reject(f"{self.measured}: {error}")
         else:
-            self._take.position(stamp_of(message), position, self._received(arrival))
+            self._take.position(self._stamp(self.measured, message, arrival), position, self._received(arrival))
 
     def _on_unstamped_current(self, message: Any, arrival: Arrival) -> None:
         self._take.coil(self._clock.stamp_of(arrival), message.data, math.nan, 0)
@@ -107,7 +109,8 @@ class MonitorInputs:
         if not math.isfinite(message.current):
             return
         self.inbox.unsubscribe(self._unstamped_current)
-        self._take.coil(stamp_of(message), message.current, message.voltage, self._received(arrival))
+        stamp = self._stamp(self._coil, message, arrival)
+        self._take.coil(stamp, message.current, message.voltage, self._received(arrival))
 
     def _on_pressure(self, take: Callable[[int, float], None], message: Any, arrival: Arrival) -> None:
         """Take a pressure; one without a stamp counts from when it is received."""
@@ -119,6 +122,11 @@ class MonitorInputs:
         """Take the pressure that there is at an end of the valve; what the valve is told is heard no more."""
         self.inbox.unsubscribe(told)
         take(message, arrival)
+
+    def _stamp(self, topic: str, message: Any, arrival: Arrival) -> int:
+        stamp = stamp_of(message)
+        self._take.stamped(topic, stamp, self._clock.stamp_of(arrival))
+        return stamp
 
     def _received(self, arrival: Arrival) -> int:
         """When a sample was received, ns of ROS time; 0 under simulated time, which moves by whole ticks."""

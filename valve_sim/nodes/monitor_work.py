@@ -30,11 +30,14 @@ from valve_sim.identification.reporting.monitoring_words import (
 )
 from valve_sim.model.errors import ValveError
 from valve_sim.nodes.diagnostics import Level, Status, number_words, unheard_words
+from valve_sim.nodes.realtime import NANOSECONDS
 from valve_sim.nodes.threads import Fail, StoppableThread
 from valve_sim.traces import Trace
 
 MOST_WAITING: Final = 100
 """Queued strokes; further ones are dropped and counted."""
+FARTHEST_STAMP: Final = 0.2
+"""s by which the nearest stamp of a second may differ from the node's clock; transport takes milliseconds."""
 SILENT_SECONDS: Final = 2.0
 """Time without samples after which the input is a warning."""
 
@@ -397,6 +400,39 @@ def _health(report: StrokeReport, monitor: StrokeMonitor) -> tuple[Level, str, s
     return Level.OK, state_words(StrokeState.WATCHING), "as commissioned"
 
 
+class StampCheck:
+    """Compares the stamps of samples with the node's own clock, by which commands are timed: they must be one clock."""
+
+    def __init__(self) -> None:
+        self._topic, self._least = "", math.inf
+
+    def note(self, topic: str, stamp: int, now: int) -> None:
+        """A sample came with this stamp at this ROS time, ns, which is 0 before the first /clock."""
+        apart = stamp - now
+        if now and abs(apart) < abs(self._least):
+            self._topic, self._least = topic, apart
+
+    def look(self, *, is_simulated: bool) -> str:
+        """What is wrong with the stamps since the last look, and the mend; empty where nothing is, or none came."""
+        topic, seconds = self._topic, self._least / NANOSECONDS
+        self._topic, self._least = "", math.inf
+        if not FARTHEST_STAMP < abs(seconds) < math.inf:
+            return ""
+        mend = (
+            "all must be stamped by /clock, or use_sim_time be false"
+            if is_simulated
+            else "of a recording: use_sim_time:=true, ros2 bag play --clock; of another computer: set its clock (NTP)"
+        )
+        where = "behind" if seconds < 0.0 else "ahead of"
+        return f"{topic} is stamped {_duration(abs(seconds))} {where} this node's clock, which times commands; {mend}"
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 7200.0:
+        return f"{seconds:.1f} s"
+    return f"{seconds / 3600.0:.1f} h" if seconds < 172_800.0 else f"{seconds / 86_400.0:.0f} days"
+
+
 class InputCount:
     """Counts samples, commands and what cannot be used, for /diagnostics."""
 
@@ -415,12 +451,13 @@ class InputCount:
         self.rejected += 1
         self._why = why
 
-    def status(self, now: float, lost: int, waiting_for: str, unheard: int = 0) -> Status:
+    def status(self, now: float, lost: int, waiting_for: str, unheard: int = 0, stamps: str = "") -> Status:
         """Whether samples and commands arrive and can be used; counts since the last call.
 
         Args:
             now: s of a monotonic clock. lost: strokes, in all, that were not judged for lack of time.
             waiting_for: what is still missing, or empty. unheard: publishers of commands of incompatible QoS.
+            stamps: what `StampCheck` says.
         """
         fresh, rejected_now = self.samples - self._samples_before, self.rejected - self._rejected_before
         if fresh or math.isnan(self._last_sample):
@@ -435,6 +472,8 @@ class InputCount:
             "rejected": str(self.rejected),
             "strokes not judged": str(lost),
         }
+        if stamps:
+            return Status("input", Level.WARN, stamps, values)
         if waiting_for:
             words = [f"waiting for {waiting_for}"]
             words += [f"{self.rejected} rejected, the last: {self._why}"] if self.rejected else []

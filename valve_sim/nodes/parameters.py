@@ -11,6 +11,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any, ClassVar, Final, NamedTuple, TypeVar
 
+from valve_sim.files.entries import short
 from valve_sim.files.parameter_files import check_with_off, off_value
 from valve_sim.files.parameter_sections import Section
 from valve_sim.model import Parameter, ParameterError
@@ -21,6 +22,9 @@ Value = Any
 
 ROS_OWN: Final = ("use_sim_time", "start_type_description_service")
 ROS_OWN_PREFIX: Final = "qos_overrides."
+LONGEST_TEXT: Final = 4096
+"""Characters of a parameter: as many as the longest path of a file."""
+LONGEST_LIST: Final = 1000
 _TYPES: Final = {bool: "bool", int: "integer", float: "double", str: "string"}
 
 
@@ -90,16 +94,18 @@ class NodeParameter(NamedTuple):
             return self._checked_list(value, where)
         if self.type == "bool":
             if not isinstance(value, bool):
-                raise ParameterError(f"{where}: found {value!r}, expected true or false")
+                raise ParameterError(f"{where}: found {short(value)}, expected true or false")
             return value
         if self.type == "string":
             if not isinstance(value, str):
-                raise ParameterError(f"{where}: found {value!r}, expected text")
+                raise ParameterError(f"{where}: found {short(value)}, expected text")
+            if len(value) > LONGEST_TEXT:
+                raise ParameterError(f"{where}: found {len(value)} characters, expected at most {LONGEST_TEXT}")
             if self.choices and value not in self.choices:
-                raise ParameterError(f"{where}: found {value!r}, expected {self.choice_words}")
+                raise ParameterError(f"{where}: found {short(value)}, expected {self.choice_words}")
             return value
         if self.type == "integer" and (isinstance(value, bool) or not isinstance(value, int)):
-            raise ParameterError(f"{where}: found {value!r}, expected a whole number")
+            raise ParameterError(f"{where}: found {short(value)}, expected a whole number")
         return self._checked_number(value, where)
 
     def _checked_number(self, value: object, where: str) -> float:
@@ -110,16 +116,18 @@ class NodeParameter(NamedTuple):
         of_text = self.type.startswith("string")
         if isinstance(value, str) or not isinstance(value, Collection):
             kind = "names" if of_text else "numbers"
-            raise ParameterError(f"{where}: found {value!r}, expected a list of {kind}")
+            raise ParameterError(f"{where}: found {short(value)}, expected a list of {kind}")
         items = list(value)
+        if len(items) > LONGEST_LIST:
+            raise ParameterError(f"{where}: found {len(items)} entries, expected at most {LONGEST_LIST}")
         if not of_text:
             return [self._checked_number(item, f"{where}[{index}]") for index, item in enumerate(items)]
-        if not all(isinstance(item, str) for item in items):
-            raise ParameterError(f"{where}: found {value!r}, expected a list of names")
+        if not all(isinstance(item, str) and len(item) <= LONGEST_TEXT for item in items):
+            raise ParameterError(f"{where}: found {short(value)}, expected a list of names")
         may_be_empty = "" in self.default
         names = [name for item in items if (name := item.strip()) or may_be_empty]
         if not names:
-            raise ParameterError(f"{where}: found {value!r}, expected at least one name")
+            raise ParameterError(f"{where}: found {short(value)}, expected at least one name")
         return names
 
 
@@ -223,7 +231,7 @@ def check_given(
             values[name] = table[name].check(value, where)
         elif not is_of_ros(name):
             raise ParameterError(
-                f"{where}: found {value!r} under an unknown name; expected a parameter of {program}, "
+                f"{where}: found {short(value)} under an unknown name; expected a parameter of {program}, "
                 f"did you mean {closest(name, list(table))}?"
             )
     return values
@@ -259,11 +267,27 @@ def changed_words(before: Mapping[str, Value], after: Mapping[str, Value]) -> st
 
 
 def as_declared(name: str, value: object, table: Table) -> object:
-    """An integer where the table has a double, and integers in its list, become doubles; all else is returned as is."""
+    """A number, or numbers in a list, where the table has doubles, as doubles; all else is returned as is.
+
+    `ros2 param load` hands on 1e-06, inf, and lists that hold such, as texts.
+    """
     kind = table[name].type if name in table else ""
-    if kind == "double" and type(value) is int:
-        return float(value)
-    if kind == "double array" and not isinstance(value, str) and isinstance(value, Collection):
-        items = list(value)
-        return [float(item) for item in items] if all(type(item) in (int, float) for item in items) else value
-    return value
+    if kind == "double" and type(value) in (int, str):
+        return _double(value)
+    if kind != "double array":
+        return value
+    if isinstance(value, str):
+        value = value.strip("[]").split(",")
+    if not isinstance(value, Collection):
+        return value
+    items = [_double(item) for item in value]
+    return items if all(type(item) is float for item in items) else value
+
+
+def _double(value: object) -> object:
+    if type(value) not in (int, float, str):
+        return value
+    try:
+        return float(value)  # type: ignore[arg-type]
+    except (ValueError, OverflowError):
+        return value

@@ -10,13 +10,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from sensor_msgs.msg import BatteryState
 from std_msgs.msg import Float64
 
 from valve_sim.files.parameter_sections import Section
 from valve_sim.files.whole_files import write_whole
 from valve_sim.model import ValveError
 from valve_sim.nodes import topics
+from valve_sim.nodes.messages import blank_battery
 from valve_sim.nodes.profile_playing import (
     Commanded,
     ProfileBrokenOffError,
@@ -48,8 +48,9 @@ class ProfileNode(CommandingNode[ProfileSettings]):
     def __init__(self, sections: Sequence[tuple[str, Section]]) -> None:
         super().__init__("command_profile", sections, ProfileSettings, topics.PROFILE)
         self._drive = checked_profile(self._settings)
-        self._valve = full_name(self._node, self._settings.valve, "valve")
-        self._voltage = self._interface.publisher("{valve}/coil_voltage", valve=self._valve)
+        valve, listener = self._settings.valve, self._settings.listener
+        self._listener = full_name(self._node, listener or valve, "listener" if listener else "valve")
+        self._voltage = self._interface.publisher("{valve}/coil_voltage", valve=full_name(self._node, valve, "valve"))
         # A recorder that discovers the topic late still gets the log from its beginning.
         self._log = self._interface.publisher("~/commanded", depth=len(self._drive.times) + 1)
         self._is_watching = False
@@ -90,14 +91,15 @@ class ProfileNode(CommandingNode[ProfileSettings]):
         """
         for _ in range(1 + math.ceil(self._settings.patience / _LOOK_SECONDS)):
             listeners = self._listeners()
-            if self._valve in listeners and self._voltage.get_subscription_count() >= len(listeners):
+            if self._listener in listeners and self._voltage.get_subscription_count() >= len(listeners):
                 break
             self._pause(_LOOK_SECONDS)
         else:
             others = f" ({', '.join(listeners)} does)" if listeners else ""
             raise ProfileBrokenOffError(
-                f"{self._valve} does not hear {self._voltage.topic_name} after {self._settings.patience:g} s"
-                f"{others}; start it, or name the valve by -p valve:=/its/name"
+                f"{self._listener} does not hear {self._voltage.topic_name} after {self._settings.patience:g} s"
+                f"{others}; start it, or name the valve by -p valve:=/its/name and the coil's driver by "
+                "-p listener:=/its/name"
             )
         # They must have discovered this node too, which cannot be seen from here.
         self._pause(LISTENERS_SECONDS)
@@ -109,14 +111,14 @@ class ProfileNode(CommandingNode[ProfileSettings]):
 
     def _look(self) -> None:
         """Whether the valve is still there; in the spinning thread, because the query takes a while."""
-        if self._is_watching and not self._stop.why and self._valve not in self._listeners():
-            self._stop.ask(f"{self._valve} does not hear {self._voltage.topic_name} any more")
+        if self._is_watching and not self._stop.why and self._listener not in self._listeners():
+            self._stop.ask(f"{self._listener} does not hear {self._voltage.topic_name} any more")
 
     def _command(self, volts: float) -> int:
         stamp = self._clock.stamp()
         self._voltage.publish(Float64(data=volts))
-        unknown = {name: math.nan for name in ("current", "temperature", "charge", "capacity", "percentage")}
-        message = BatteryState(voltage=volts, design_capacity=math.nan, **unknown)
+        message = blank_battery()
+        message.voltage = volts
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, NANOSECONDS)
         self._log.publish(message)
         return stamp

@@ -23,7 +23,10 @@ class ProfileSettings(NodeSettings):
         "",
         "what to command: rows of time in s and volts, as for `valve-sim simulate --profile`, the last one 0 V",
     )
-    valve: str = option("valve", "the node that is commanded, on its topic ~/coil_voltage")
+    valve: str = option("valve", "what is commanded: the topic coil_voltage below this name")
+    listener: str = option(
+        "", "node that must hear the commands, such as the driver of the coil; empty: the node `valve`"
+    )
     max_voltage: float = option(
         30.0,
         "a profile with a larger voltage, of either sign, is refused before anything is commanded", "V", 0.0,

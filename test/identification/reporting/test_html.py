@@ -26,7 +26,6 @@ from valve_sim.identification.reporting.files import write_diagnosis
 from valve_sim.identification.reporting.recording_profile import STROKE_LEVELS
 from valve_sim.identification.reporting.summary import summarise
 from valve_sim.identification.reporting.wording import headline
-from valve_sim.invocation import invocation
 from valve_sim.model import CATALOGUE, ValveError
 from valve_sim.traces.synthetic import read_profile
 
@@ -140,13 +139,6 @@ def hostile(diagnosis: Diagnosis, path: Path, monkeypatch: pytest.MonkeyPatch) -
     return path.read_text(encoding="utf-8")
 
 
-def test_names_from_bags_are_escaped(diagnosis: Diagnosis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    text = hostile(diagnosis, tmp_path / "report.html", monkeypatch)
-    assert HOSTILE not in text
-    assert text.count("<script") == 2
-    assert "<img" not in text
-
-
 def test_a_page_that_cannot_be_written_is_one_clear_error(diagnosis: Diagnosis, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(ValveError, match="cannot be written"):
@@ -171,10 +163,12 @@ def test_the_next_recording_is_a_profile_in_the_folder_while_there_is_something_
     assert len(read_profile(doubtful[-1]).times) == 2 * len(STROKE_LEVELS)
     assert json.loads(doubtful[0].read_text())["record_next_gain"] is None
     page, header = doubtful[1].read_text(), doubtful[-1].read_text()
-    for program in ("valve-sim simulate --profile ", "command_profile --ros-args -p profile:="):
-        name, options = program.split(maxsplit=1)
-        typed = f"{invocation(name)} {options}{shlex.quote(str(doubtful[-1]))}"
-        assert typed + " " in header, "works where the diagnosis was started, with ros2 and without"
+    for program in (
+        "valve-sim simulate --profile ",
+        "ros2 run valve_sim command_profile --ros-args -p profile:=",
+    ):
+        typed = f"{program}{shlex.quote(str(doubtful[-1]))}"
+        assert typed + " " in header
         assert typed + " " in html.unescape(page)
     duration = re.search(r"--duration ([\d.]+)", page)
     assert duration is not None

@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
 
 from model.core.cases import CALIBRATED, STROKE
-from valve_sim.model import CATALOGUE, Effect, Valve, simulate
-from valve_sim.model.core.symbols import Motion, Own
-from valve_sim.model.core.tracer import Node, exp, maximum, sin
+from model.derivatives import ACCURACY, Case, errors_of
+from valve_sim.model import Valve, simulate
 from valve_sim.model.effects import FORCE_MAP_VARIABLES, basis
 from valve_sim.model.errors import ParameterError
-from valve_sim.model.parameters import Parameter
-from valve_sim.model.runs import Directions, run_sloped
-
-TIMES = np.linspace(1e-3, 0.03, 80)
-SHIPPED = {name: entry for name, entry in CATALOGUE.items() if entry.is_of(has_gas=False)}
 
 
 def valve_of(effects: dict[str, Any], **values: Any) -> Valve:
@@ -50,58 +43,6 @@ def test_what_cannot_be_is_refused_in_one_line(effects: dict[str, Any], values: 
     with pytest.raises(ParameterError, match=why) as raised:
         valve_of(effects, **values)
     assert "\n" not in str(raised.value) and str(raised.value).startswith("valve.yaml")
-
-
-def spring_catch(m: Motion, own: Own) -> Node:
-    """A one-sided spring that begins at a place, a ripple and something that fades after the start."""
-    caught = own.stiffness * maximum(0.0, m.x - own.place)
-    return -caught + own.ripple * sin(m.t * 3000.0) * exp(-m.since / 5e-3)
-
-
-OWN_EFFECT = Effect(
-    name="catch", title="Catch", summary="a one-sided spring",
-    parameters=(
-        Parameter("stiffness", "N/m", "of the spring", 0, 1e6, 1e3, 0.0),
-        Parameter("place", "m", "where it begins", 0, 1e-2, 6e-4),
-        Parameter("ripple", "N", "of the drive", -10, 10, 0.1, 0.0),
-    ),
-    source="this test", on_a_real_valve="A catch.", what_to_do="Look for it.", force=spring_catch,
-)  # fmt: skip
-
-
-@pytest.fixture
-def catch() -> Iterator[None]:
-    """The effect of this test in the catalogue."""
-    CATALOGUE.register(OWN_EFFECT)
-    yield
-    CATALOGUE.unregister("catch")
-
-
-def check_derivatives(valve: Valve, effect: str, steps: dict[str, float]) -> None:
-    """Derivatives by parameters of an effect are difference quotients over these steps."""
-    directions = Directions.of(valve, STROKE, [f"{effect}.{name}" for name in steps])
-    sloped = run_sloped(valve, STROKE, TIMES, directions, tolerance=1e-10)
-    held = valve.effects[effect]
-    for column, (name, h) in enumerate(steps.items()):
-        above, below = (
-            simulate(
-                Valve(valve.parameters, {effect: {**held, name: held[name] + d}}), STROKE, TIMES, tolerance=1e-12
-            ).pilot_position
-            for d in (h, -h)
-        )
-        quotient = (above - below) / (2.0 * h)
-        assert np.abs(sloped.of_positions[:, column] - quotient).max() < 1e-6 * np.abs(quotient).max()
-
-
-@pytest.mark.usefixtures("catch")
-def test_an_effect_of_one_s_own_gets_series_events_and_derivatives() -> None:
-    values = {"stiffness": 2e3, "place": 7e-4, "ripple": 0.05}
-    mapping = {"valve": CALIBRATED.parameters._asdict(), "effects": {"catch": values}}
-    valve = Valve.from_mapping(mapping, "own.yaml")
-    exact = simulate(valve, STROKE, TIMES, tolerance=1e-13)
-    found = simulate(valve, STROKE, TIMES)
-    assert found.pilot_position == pytest.approx(exact.pilot_position, abs=2e-12)
-    check_derivatives(valve, "catch", {name: 1e-5 * size for name, size in values.items()})
 
 
 MAP = {"low": 1e-4, "high": 1.1e-3, "coefficients": [0.3, -0.2, 0.4, 0.1, -0.3, 0.2, 0.35, -0.1]}
@@ -143,4 +84,5 @@ def test_a_force_map_has_derivatives() -> None:
     valve = Valve.from_mapping(
         {"valve": CALIBRATED.parameters._asdict(), "effects": {"force_map": {**MAP, "variable": 0}}}, "map.yaml"
     )
-    check_derivatives(valve, "force_map", {"c3": 1e-5, "low": 1e-9})
+    for name, errors in errors_of(Case(valve, STROKE), [f"force_map.{own}" for own in ("c3", "low", "high")]).items():
+        assert min(errors) < ACCURACY, name

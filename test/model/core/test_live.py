@@ -13,36 +13,8 @@ from valve_sim.model.core_types import Phase
 from valve_sim.model.errors import SimulationError
 from valve_sim.model.live import Live
 from valve_sim.model.parameters import ValveParameters
-
-
-@pytest.mark.parametrize("kind", ["random", "flux", "release", "one plunger", "gas"])
-@pytest.mark.parametrize("seed", [*range(5), *(pytest.param(seed, marks=pytest.mark.long) for seed in range(5, 40))])
-def test_a_live_valve_is_the_whole_run_to_the_last_bit(kind: str, seed: int) -> None:
-    valve, drive, times = drawn(kind, seed)
-    whole = simulate(valve, drive, times)
-    random = np.random.default_rng(seed)
-    stepper, events, command = Stepper(valve, float(min(drive.times[0], times[0]))), [], 0
-    shown = []
-    for time in times.tolist():
-        while command < len(drive.times) and drive.times[command] < time:
-            stepper.command(float(drive.times[command]), float(drive.volts[command]))
-            command += 1
-        last = float(stepper._live.block[0])
-        for look in sorted(random.uniform(min(last, time), time, 2)):
-            events += stepper.advance(max(look, drive.times[command - 1] if command else look)).events
-        reading = stepper.advance(time)
-        events += reading.events
-        shown.append((
-            reading.pilot_position, reading.main_position, reading.pilot_velocity, reading.coil_current,
-            reading.attraction, reading.phase, reading.coil_voltage, reading.outlet_pressure, reading.mass_flow,
-        ))  # fmt: skip
-    expected = (
-        whole.pilot_position, whole.main_position, whole.pilot_velocity, whole.coil_current, whole.attraction,
-        whole.phase, whole.coil_voltage, whole.outlet_pressure, whole.mass_flow,
-    )  # fmt: skip
-    for column, values in zip(np.array(shown).T, expected, strict=True):
-        assert np.array_equal(column, np.full(len(times), np.nan) if values is None else values, equal_nan=True)
-    assert tuple(events) == whole.events
+from valve_sim.model.runs import Directions, Run
+from valve_sim.model.simulation import commands_of
 
 
 @settings(max_examples=30)
@@ -87,3 +59,20 @@ def test_a_gap_outside_the_stroke_is_refused_and_changes_nothing() -> None:
     with pytest.raises(SimulationError, match="not inside"):
         stepper.set_valve(Valve(ValveParameters(pilot_gap=2e-3)), 1e-3)
     assert stepper.valve is CALIBRATED and stepper.advance(2e-3).phase is Phase.CLOSED
+
+
+@settings(max_examples=20)
+@given(cuts=st.lists(st.floats(0.0, 0.03), max_size=6).map(sorted), seed=st.integers(0, 20))
+def test_a_run_in_pieces_is_the_whole_run_with_its_derivatives(cuts: list[float], seed: int) -> None:
+    valve, drive, times = drawn("random", seed)
+    names = ["a0", "main_damping", "stroke"]
+    along, commands = Directions.of(valve, drive, names), commands_of(drive)
+    whole = Run(valve, 0.0, directions=along).piece(commands, 0.031, times[times <= 0.031], times[times <= 0.031])
+    run, found, begun = Run(valve, 0.0, directions=along), list[np.ndarray](), 0.0
+    for cut in [*cuts, 0.031]:
+        own, due = (times >= begun) & (times < cut), commands[(commands[:, 0] >= begun) & (commands[:, 0] < cut)]
+        part = run.piece(due, cut, times[own], times[own])
+        found.append(np.column_stack([part.positions, part.of_positions, part.currents, part.of_currents]))
+        begun = cut
+    expected = np.column_stack([whole.positions, whole.of_positions, whole.currents, whole.of_currents])
+    assert np.array_equal(np.concatenate(found), expected)

@@ -58,7 +58,7 @@ def library() -> Library:
     return Library(compiled(lowered(functions, ["of_all_kinds", "first_fall", "lag_moments"])))
 
 
-@settings(max_examples=100)
+@settings(max_examples=40)
 @given(n=st.integers(0, 6), x=st.floats(-20.0, 20.0), values=st.lists(st.floats(-50, 50), min_size=8, max_size=8))
 def test_compiled_functions_do_what_python_does(library: Library, n: int, x: float, values: list[float]) -> None:
     if n == 0:
@@ -69,7 +69,7 @@ def test_compiled_functions_do_what_python_does(library: Library, n: int, x: flo
     assert ours == pytest.approx(theirs, rel=1e-12)
 
 
-@settings(max_examples=200)
+@settings(max_examples=60)
 @given(
     roots=st.lists(st.floats(0.02, 1.5), min_size=1, max_size=4), scale=st.floats(1e-6, 1e3), h=st.floats(1e-6, 1e-2)
 )

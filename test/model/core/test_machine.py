@@ -49,28 +49,6 @@ def test_without_any_folder_code_is_held_in_memory(monkeypatch: pytest.MonkeyPat
     assert call(machine.library("twice", lambda: TEXT)) == 42.0
 
 
-def test_every_source_of_the_core_is_part_of_the_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The numbers of phases, events and outcomes among them, which stand beside the core."""
-    room = Path(machine.__file__).parent
-    for source in (*room.rglob("*.py"), room.parent / "core_types.py"):
-        there = tmp_path / source.relative_to(room.parent)
-        there.parent.mkdir(parents=True, exist_ok=True)
-        there.write_bytes(source.read_bytes())
-    monkeypatch.setattr(machine, "__file__", str(tmp_path / "core" / "machine.py"))
-
-    def digest() -> str:
-        machine.sources.cache_clear()
-        return machine.sources()
-
-    known = {digest()}
-    sources = sorted(tmp_path.rglob("*.py"))
-    for source in sources:
-        source.write_bytes(source.read_bytes() + b"\n")
-        known.add(digest())
-    machine.sources.cache_clear()
-    assert len(known) == 1 + len(sources)
-
-
 def test_what_threads_ask_for_at_once_is_made_once_and_kept() -> None:
     """A second one would take the first one's place, whose code is then freed while a thread runs it."""
     made, together = [], threading.Barrier(8)

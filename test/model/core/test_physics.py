@@ -11,7 +11,7 @@ import pytest
 from model.core.cases import CALIBRATED, STROKE, drawn
 from valve_sim.model import Valve, simulate
 from valve_sim.model.core_types import EventKind, Phase
-from valve_sim.model.drives import Drive, step
+from valve_sim.model.drives import step
 
 AT_DEFAULT = 1e-10
 """s: what the default tolerance leaves of the error of an event; the worst are contacts at millimetres a second."""
@@ -108,9 +108,3 @@ def test_tiny_time_constants_need_no_tiny_steps(tau: float) -> None:
     found = simulate(valve, STROKE, [0.03]).events
     assert [event.kind for event in found] == [event.kind for event in at_once]
     assert [event.time for event in found] == pytest.approx([event.time for event in at_once], abs=8.0 * tau + 1e-13)
-
-
-def test_an_hour_of_rest_is_no_hour_of_steps() -> None:
-    response = simulate(CALIBRATED, Drive.of([1.0, 2.0, 3600.0], [9.0, 0.0, 9.0]), [3601.0])
-    opened = times_of(response, EventKind.REACHED_STOP)
-    assert opened[1] - 3600.0 == pytest.approx(opened[0] - 1.0, abs=1e-12)

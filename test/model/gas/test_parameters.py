@@ -29,12 +29,6 @@ def test_what_is_given_is_the_gas_and_the_rest_has_defaults() -> None:
     assert valve_from_flat({**GIVEN, "gas.inlet_pressure": 0.0}, "here").gas is None
 
 
-def test_a_written_file_is_read_back(tmp_path: Path) -> None:
-    valve = gas_valve(fluid="nitrogen", demand_orifice_diameter=1e-3)
-    save_valve(tmp_path / "valve.yaml", valve, "test")
-    assert load_valve(tmp_path / "valve.yaml").gas == valve.gas
-
-
 def test_tolerances_and_effects_of_gas_are_read_back(tmp_path: Path) -> None:
     given = {
         **GIVEN, "tolerances.gas.outlet_volume": 2e-7, "tolerances.gas.inlet_pressure": 0.0,
@@ -48,9 +42,9 @@ def test_tolerances_and_effects_of_gas_are_read_back(tmp_path: Path) -> None:
     assert not valve.tolerances.is_exact
 
 
-@pytest.mark.parametrize(("file", "pressure"), [("hydrogen_35mpa.yaml", 35e6), ("hydrogen_70mpa.yaml", 70e6)])
-def test_shipped_files_are_the_default_valve_before_a_tank(file: str, pressure: float) -> None:
-    assert load_valve(config_path(file)) == gas_valve(inlet_pressure=pressure)
+def test_shipped_files_are_the_default_valve_before_a_tank() -> None:
+    for pressure in (35, 70):
+        assert load_valve(config_path(f"hydrogen_{pressure}mpa.yaml")) == gas_valve(inlet_pressure=pressure * 1e6)
 
 
 @pytest.mark.parametrize(

@@ -56,6 +56,8 @@ LONGEST_GAP: Final = 60.0
 """s without samples, after which the model is not stepped on but begins at rest."""
 TAIL: Final = 3.0
 """Multiple of the recent delays that one delay in many thousands exceeds."""
+LONGEST_DELAY: Final = 1.0
+"""s: a valve that closes later than this is not one whose command came late."""
 STILL_AFTER: Final = 0.01
 """s after it was last seen open: the remaining motion is below the noise."""
 CONFIRMED: Final = 5
@@ -108,12 +110,17 @@ class StrokeSegmenter:
         """
         return TAIL * (EXTREME_SIGMAS * self.scatter + max(self._arrivals.spread, self._heard.spread))
 
+    @property
+    def _longest_wait(self) -> float:
+        """Seconds beyond `patience` before a valve is said not to follow: as long as it has ever been late."""
+        return max(self.uncertainty, TAIL * self._latest)
+
     def reset(self) -> None:
         """Start again, as after a jump of the clock: with a valve at rest."""
         self.fault: Fault | None = None
         """None where there is none. Stays until a stroke without a fault."""
         self._arrivals, self._heard = ArrivalSpread(), HeardCommands()
-        self._missed = 0
+        self._missed, self._latest = 0, 0.0
         self._stepper: Stepper | None = None
         self._stepped = -math.inf
         self._volts = math.nan
@@ -324,7 +331,7 @@ class StrokeSegmenter:
         if math.isnan(self._volts):
             return
         took, patience = self._phase_since - self._last_command, self._settings.patience
-        patience = max(patience, took if math.isfinite(took) else 0.0) + self.uncertainty
+        patience = max(patience, took if math.isfinite(took) else 0.0) + self._longest_wait
         if time - max(self._phase_since, self._last_command) <= patience:
             return
         stroke = self._stroke
@@ -336,6 +343,12 @@ class StrokeSegmenter:
                 self.fault = DidNotClose(position)
             if stroke is not None:
                 stroke.closed, stroke.fault = closed, stroke.fault or (None if closed else self.fault)
+
+    def _note_lateness(self) -> None:
+        """Remember how long the valve stayed open after the model had closed, as where its command came late."""
+        late = max(self._last_open - self._phase_since if self._phase is Phase.CLOSED else 0.0, self._heard.spread)
+        if self._is_closed(self._position) and math.isfinite(late) and late > self._latest:
+            self._latest = min(late, LONGEST_DELAY)
 
     def _is_closed(self, position: float) -> bool:
         """Whether valve or model is closed; without seat load the model rests some picometres above its seat."""
@@ -414,6 +427,7 @@ class StrokeSegmenter:
     def _finish(self, stroke: StrokeInProgress, remark: Remark | None, until: float = math.inf) -> None:
         """Emit the stroke; its last samples at rest are also the first of the next one."""
         remark = remark or self._judge_late(stroke)
+        self._note_lateness()
         if stroke.fault is None:
             self.fault = None
         # Later currents than the last position belong to the next stroke.

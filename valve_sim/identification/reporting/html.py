@@ -50,7 +50,6 @@ from valve_sim.identification.reporting.wording import (
     unseen_noise_words,
     value_words,
 )
-from valve_sim.invocation import invocation
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -112,7 +111,6 @@ def _typed(diagnosis: Diagnosis, folder: Path, options: str) -> dict[str, Any]:
         "max_voltage": "" if drive is None else most_volts(drive),
         "params": params_of(options),
         "source": option_of(options, "--map") + option_of(options, "--valve"),
-        "program": invocation,
         "has_ros2": shutil.which("ros2") is not None,
         "profile": shlex.quote(str(folder / "record_next.yaml")),
         "corrected": shlex.quote(str(folder / "corrected.yaml")),

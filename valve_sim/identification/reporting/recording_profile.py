@@ -11,7 +11,6 @@ from valve_sim.files.whole_files import write_whole
 from valve_sim.identification.diagnosis.experiment_design import Recommendation
 from valve_sim.identification.diagnosis.outcome import Diagnosis
 from valve_sim.identification.plants.valve import HIGHEST_LEVEL, LOWEST_LEVEL, ValvePlant, volts_at
-from valve_sim.invocation import invocation
 from valve_sim.model import Drive, Valve
 
 MAX_VOLTAGE: Final = 30.0
@@ -121,7 +120,6 @@ def write_profile(
         ValveError: it cannot be written.
     """
     drive, file = profile_to_record(recommendation, valve, driven), shlex.quote(str(path))
-    valve_sim = invocation()
     notes = [
         *provenance.splitlines(),
         "",
@@ -129,10 +127,11 @@ def write_profile(
         "",
         "Rows are [time in s, volts]; each voltage holds until the next row. Highest: "
         f"{highest_of(drive):g} V; remove rows that your coil or its driver cannot stand.",
-        f"Simulate: {valve_sim} simulate --profile {file} --duration {duration_of(drive):.2f}{params_of(options)} "
+        f"Simulate: valve-sim simulate --profile {file} --duration {duration_of(drive):.2f}{params_of(options)} "
         "--output next.mcap",
-        f"Command:  {invocation('command_profile')} --ros-args -p profile:={file} -p valve:=/valve{most_volts(drive)}",
-        f"Then diagnose the new recording together with the old one: {valve_sim} diagnose OLD NEW"
+        f"Command:  ros2 run valve_sim command_profile --ros-args -p profile:={file} "
+        f"-p valve:=/valve{most_volts(drive)}",
+        f"Then diagnose the new recording together with the old one: valve-sim diagnose OLD NEW"
         f"{f' {options}' if options else ''} --output results",
     ]
     rows = [

@@ -33,6 +33,8 @@ MOST_STEPS: Final = 1_000_000
 """Steps that a run may take, and as many again for each second of it."""
 LONGEST_RUN: Final = 1e9
 """s, of which the steps are counted."""
+NEVER: Final = -1e300
+"""s: before any run."""
 NO_TRAVEL: Final = -1
 """In place of an Outcome: the gap is not inside the stroke."""
 LIVE_EVENTS: Final = 256
@@ -217,6 +219,8 @@ def start(b: Block, t: Block, blank: Block, numbers: Block, count: int, time: fl
         b[at.NUMBERS + i] = numbers[i]
     b[at.TIME] = time
     b[at.UNSEATED_TIME] = time
+    b[at.FLIPPED] = 0.0
+    b[at.FLIPPED_AT] = NEVER
     invoke(b[at.PREPARE], b, t)
     b[at.ONE_PLUNGER] = 1.0 if b[at.GAP] == 0.0 else 0.0
     if b[at.DENSITY] > 0.0:

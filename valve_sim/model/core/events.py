@@ -42,6 +42,8 @@ SLOWEST_REBOUND: Final = 5e-3
 """m/s: a slower contact does not rebound."""
 SHORTEST_LAG: Final = 2e-8
 """s: the current of a coil that is faster is gone at once when it freewheels."""
+CONTINUOUS: Final = 1e-9
+"""Of a rate: what it jumps by less where a comparison changes is rounding."""
 JUMPED: Final = 1e-9
 """N: so much more than what holds them pushes plungers at rest only after a jump of the force."""
 
@@ -49,8 +51,9 @@ JUMPED: Final = 1e-9
 def leave(b: Block, t: Block, ends: int) -> None:
     """Find the derivative δ of the time of an event, and move the tangents of the states to where it is.
 
-    That of a command, NO_EVENT, is known. A comparison that changes changes nothing at once: its δ does not matter.
-    What a jump of the force at the event before sets off at once has the δ of that event.
+    That of a command, NO_EVENT, is known. What a jump of the force at the event before sets off at once has the δ of
+    that event. Where a comparison changes, `flip` moves them. At a knot of a curve nothing jumps, and δ does not
+    matter; nor does it where the flow of gas switches.
     """
     width = int(b[at.WIDTH])
     if width == 0:
@@ -71,7 +74,12 @@ def leave(b: Block, t: Block, ends: int) -> None:
             delta = divided(-t[at.DOWN * width + k], b[at.DOWN_RATE])
         elif ends == at.CURRENT_GONE:
             delta = divided(-t[at.CURRENT * width + k], b[at.CURRENT_RATE])
+        elif at.FLAGGED <= ends < at.FLOW_SWITCHED:
+            slot = at.GUARD_RATE + ends - at.FLAGGED
+            delta = divided(-t[slot * width + k], b[slot])
         t[at.DELTA * width + k] = delta
+    if ends >= at.FLAGGED:
+        return
     move_tangents(b, t, 1.0)
     if b[at.HAS_PEAK] > 0.0 and b[at.PEAK] == abs(b[at.CURRENT]):
         rate = b[at.CURRENT_RATE] if b[at.CURRENT] > 0.0 else -b[at.CURRENT_RATE]
@@ -97,6 +105,40 @@ def move_tangents(b: Block, t: Block, way: float) -> None:
             t[at.V * width + k] += b[at.ACCELERATION] * delta
         for i in range(states):
             t[(at.COIL + i) * width + k] += b[at.COIL_RATES + i] * delta
+
+
+def flip(b: Block, t: Block, guard: int) -> None:
+    """A comparison changes, and with it the rates of states; their tangents change by that jump times δ.
+
+    Where nothing jumps, rounding does: δ may be as large as it likes where what is compared hardly changes.
+    """
+    flag = at.FLAG + guard
+    b[flag] = 1.0 - b[flag]
+    b[at.FLIPPED] = guard
+    b[at.FLIPPED_AT] = b[at.TIME]
+    width = int(b[at.WIDTH])
+    if width == 0:
+        return
+    states = int(b[at.STATES])
+    before = b[at.SCRATCH :]
+    before[0] = b[at.ACCELERATION]
+    for i in range(states):
+        before[1 + i] = b[at.COIL_RATES + i]
+    invoke(b[at.LOOK], b, t)
+    jump = jump_of(before[0], b[at.ACCELERATION]) if b[at.MOVING] > 0.0 else 0.0
+    for k in range(width):
+        delta = t[at.DELTA * width + k]
+        if jump != 0.0:
+            t[at.V * width + k] += jump * delta
+        for i in range(states):
+            rate = jump_of(before[1 + i], b[at.COIL_RATES + i])
+            if rate != 0.0:
+                t[(at.COIL + i) * width + k] += rate * delta
+
+
+def jump_of(before: float, after: float) -> float:
+    """By how much a rate was larger before an event than after it, or 0 where that is rounding."""
+    return before - after if abs(before - after) > CONTINUOUS * max(abs(before), abs(after)) else 0.0
 
 
 def rescale_velocity(b: Block, t: Block, ratio: int, way: float) -> None:
@@ -332,9 +374,10 @@ def end_step(b: Block, t: Block, ends: int, events: Block, room: int) -> None:
     elif ends == at.FLOW_SWITCHED:
         switch_flow(b, events, room)
     else:
-        b[at.FLAG + ends - at.FLAGGED] = 1.0 - b[at.FLAG + ends - at.FLAGGED]
+        flip(b, t, ends - at.FLAGGED)
     b[at.GAS_KNOWN] = 0.0
-    arrive(b, t)
+    if ends < at.FLAGGED:
+        arrive(b, t)
 
 
 def switch_flow(b: Block, events: Block, room: int) -> None:
@@ -350,7 +393,7 @@ def switch_flow(b: Block, events: Block, room: int) -> None:
 
 
 FUNCTIONS: Final = (
-    leave, arrive, move_tangents, rescale_velocity, unseat, log_event, come_to_rest, set_off, move_off, touch,
-    touch_seat, touch_gap, turn_round, block_diode, close_circuit, set_voltage, end_step, switch_flow,
+    leave, arrive, flip, jump_of, move_tangents, rescale_velocity, unseat, log_event, come_to_rest, set_off, move_off,
+    touch, touch_seat, touch_gap, turn_round, block_diode, close_circuit, set_voltage, end_step, switch_flow,
 )  # fmt: skip
 """What is compiled."""

@@ -32,12 +32,11 @@ from valve_sim.model.core import layout as at
 from valve_sim.model.core.code import Code, Value
 from valve_sim.model.core.equations import System
 from valve_sim.model.core.series import Series
+from valve_sim.model.core.steps import SIZE_OF_FORCE, SIZE_OF_V
 from valve_sim.model.core.tracer import Node, ancestors, derivative
 
 SIZE_OF_X: Final = 1e-5
-SIZE_OF_V: Final = 1e-2
-SIZE_OF_FORCE: Final = 1.0
-"""m, m/s, N: below these sizes errors are held absolutely."""
+"""m: below this size errors are held absolutely."""
 SAFETY: Final = 0.1
 """Of the tolerance: the last terms of a series, of which a step tolerates that much, are larger than what is left out,
 but many steps add up."""
@@ -57,6 +56,13 @@ OF_TAYLOR: Final = ("move", "rest")
 OF_GAS: Final = ("flow", "stage", "bend", "watch", "flow_slopes", "stage_slopes", "bend_slopes")
 OF_BOTH: Final = ("at", "spot", "row", "look", "place", "decide", "prepare")
 NAMES: Final = (*OF_TAYLOR, *OF_GAS, *OF_BOTH)
+CURVED: Final = ("exp", "log", "expm1", "log1p", "sin", "cos", "tanh", "power", "div")
+"""Functions whose series does not end."""
+
+
+def _is_curved(guard: Node) -> bool:
+    """Whether what is compared is more than a polynomial of time and the states."""
+    return any(node.op in CURVED and not node.steady for node in ancestors([guard]))
 
 
 class Kernels:
@@ -83,6 +89,7 @@ class Kernels:
             for name in (*system.parameters, *DYNAMIC, *(f"{name} at start" for name in self.names)):
                 self._seeds[trace.number(name)] = trace.number(f"d {name}")
         self._guards = trace.guards()
+        self._curved = [guard for guard in self._guards if _is_curved(guard)]
         self._flags = {guard: at.FLAG + i for i, guard in enumerate(self._guards)}
         self.made = (*(OF_TAYLOR if system.gas is None else OF_GAS), *OF_BOTH)
         self._moving_rates = self._with_tangents({"x": self._v, "v": system.acceleration, **self._coil})
@@ -92,6 +99,11 @@ class Kernels:
     def guard_count(self) -> int:
         """How many comparisons there are."""
         return len(self._guards)
+
+    @property
+    def is_checked(self) -> bool:
+        """Whether series are compared with what they are of."""
+        return self.system.is_checked or bool(self._curved)
 
     @property
     def curve(self) -> tuple[int, bool, int, int] | None:
@@ -172,8 +184,8 @@ class Kernels:
         ahead = code.sub(code.load(at.AHEAD), code.load(at.END_X))
         away = code.compare("ogt", code.mul(ahead, code.load(at.DIRECTION)), code.constant(0.0))
         self._store_suspect(code, code.both(sure, away))
-        if self.system.is_checked:
-            self._check(code, step, self._or_zero(code, v))
+        if self.is_checked:
+            self._check(code, series, step, self._or_zero(code, v) if self.system.is_checked else ())
         return code
 
     def _rest(self) -> Code:
@@ -183,7 +195,7 @@ class Kernels:
             self._store_coefficient(code, series, "x", order)
         taken = self._store_coil(code, series)
         nets = [self.system.up, self.system.down]
-        coefficients = [self._or_zero(code, [series.coefficient(net, k) for k in range(at.TERMS)]) for net in nets]
+        coefficients = [self._coefficients(code, series, net) for net in nets]
         step = self._step_of(code, [*((c, SIZE_OF_FORCE) for c in coefficients), *taken])
         self._end(code, series, step)
         moved = self._ancestors([*nets, *self._coil.values()])
@@ -192,6 +204,8 @@ class Kernels:
         sure = self._sure(code, series, step, held)
         assert sure is not None
         self._store_suspect(code, sure)
+        if self.is_checked:
+            self._check(code, series, step)
         return code
 
     def _ancestors(self, nodes: Iterable[Node]) -> set[Node]:
@@ -328,7 +342,7 @@ class Kernels:
                 for order in range(at.TERMS):
                     code.store(at.GUARD + place * at.TERMS + order, code.constant(0.0 if order else 1.0))
                 continue
-            coefficients = self._or_zero(code, [series.coefficient(guard, order) for order in range(at.TERMS)])
+            coefficients = self._coefficients(code, series, guard)
             if guard in self._flags:
                 holds = series.condition(guard)
                 coefficients = [code.select(holds, c, code.neg(c)) for c in coefficients]
@@ -360,21 +374,40 @@ class Kernels:
     def _store_suspect(code: Code, sure: Value) -> None:
         code.store(at.SUSPECT, code.select(sure, code.constant(0.0), code.constant(1.0)))
 
-    def _check(self, code: Code, step: Value, v: Sequence[Value]) -> None:
-        """Store how far the series is off the equation within a step, over what is tolerated."""
-        tolerated = code.mul(code.load(at.TOLERANCE), code.larger(code.call("fabs", v[0]), code.constant(SIZE_OF_V)))
-        worst = code.constant(0.0)
+    def _check(self, code: Code, series: Series, step: Value, v: Sequence[Value] = ()) -> None:
+        """Store how far series are off what they are of within a step, over what is tolerated.
+
+        They are the velocity `v` of a valve in motion, beside its equation, and what is compared, if that is curved:
+        the size of a step does not ask for its error.
+        """
+        worst, powers = code.constant(0.0), self._powers(code, step, at.TERMS)
+        least, tolerance = code.constant(SIZE_OF_V), code.load(at.TOLERANCE)
         for fraction in CHECKED_AT:
             h = code.mul(step, code.constant(fraction))
-            off = code.call("fabs", self._defect(code, h))
-            worst = code.larger(off, worst)
-        code.store(at.DEFECT, code.div(code.mul(worst, step), tolerated))
+            states, slope = self._states_at(code, h)
+            there = self._series(code, states, {}, clock=h)
+            if v:
+                off = code.mul(code.sub(there.value(self.system.acceleration), slope), step)
+                size = code.larger(code.call("fabs", v[0]), least)
+                worst = self._worse(code, worst, off, code.mul(tolerance, size))
+            for guard in self._curved:
+                terms = [
+                    code.mul(c, code.mul(power, code.constant(fraction**order)))
+                    for order, (c, power) in enumerate(
+                        zip(self._coefficients(code, series, guard), powers, strict=True)
+                    )
+                ]
+                off = code.sub(there.value(guard), self._summed(code, terms))
+                size = self._summed(code, [code.call("fabs", term) for term in terms])
+                worst = self._worse(code, worst, off, code.mul(tolerance, size))
+        code.store(at.DEFECT, worst)
 
-    def _defect(self, code: Code, h: Value) -> Value:
-        """The acceleration of the series less that of the equation at a time within the step."""
-        states, slope = self._states_at(code, h)
-        there = self._series(code, states, {}, clock=h)
-        return code.sub(there.value(self.system.acceleration), slope)
+    @staticmethod
+    def _worse(code: Code, worst: Value, off: Value, tolerated: Value) -> Value:
+        return code.larger(code.div(code.call("fabs", off), tolerated), worst)
+
+    def _coefficients(self, code: Code, series: Series, node: Node) -> list[Value]:
+        return self._or_zero(code, [series.coefficient(node, order) for order in range(at.TERMS)])
 
     def _states_at(self, code: Code, h: Value) -> tuple[dict[str, Value], Value]:
         """All states, with tangents, at a time within the step from the stored series; and v'."""
@@ -479,7 +512,21 @@ class Kernels:
             values[at.CLOSING] = system.closing
         for slot, node in values.items():
             code.store(slot, series.value(zero if node is None else node))
+        if self.width:
+            self._store_guards(code, series)
         return code
+
+    def _store_guards(self, code: Code, series: Series) -> None:
+        """Store the rates of what is compared, and its tangents: derivatives pass where a force jumps by them."""
+        trace = self.system.trace
+        moving = {self._x: self._v, self._v: self.system.acceleration * trace.number("moving")}
+        coil = {trace.state(name): rate for name, rate in self._coil.items()}
+        rates = derivative(self._guards, {**moving, **coil, trace.clock(): trace.constant(1.0)})
+        slopes = derivative(self._guards, self._seeds)
+        for place, both in enumerate(zip(rates, slopes, strict=True)):
+            rate, slope = (code.constant(0.0) if node is None else series.value(node) for node in both)
+            code.store(at.GUARD_RATE + place, rate)
+            code.store(at.GUARD_RATE + place, slope, wide=True)
 
     def _at_stage(self, code: Code) -> Series:
         """Everything at a stage of a step of a valve with gas: what is integrated stands where the step's end will."""

@@ -89,11 +89,16 @@ FLAG: Final = SERIES_COIL + MOST_STATES * TERMS
 """The flags of comparisons, 0 or 1."""
 GUARD: Final = FLAG + MOST_GUARDS
 """TERMS coefficients of what must not become negative within the step: see `kernels`."""
-SCRATCH: Final = GUARD + (MOST_GUARDS + 3) * TERMS
+GUARD_RATE: Final = GUARD + (MOST_GUARDS + 3) * TERMS
+"""With derivatives: the rates of what is compared, and its tangents, as `look` fills them in."""
+SCRATCH: Final = GUARD_RATE + MOST_GUARDS
 """Room for 3 TERMS numbers of the driver."""
 STAGES: Final = 6
 """Of a step of a valve with gas."""
-GAS_K: Final = SCRATCH + 3 * TERMS
+FLIPPED: Final = SCRATCH + 3 * TERMS
+FLIPPED_AT: Final = FLIPPED + 1
+"""The comparison that changed last, and when, s."""
+GAS_K: Final = FLIPPED_AT + 1
 """Rates of x, v and all other states at each stage, and at the end of the step."""
 WIDE: Final = 2 + MOST_STATES
 """So many at each."""

@@ -47,7 +47,12 @@ def enter(b: Block, t: Block) -> None:
         invoke(b[at.PLACE], b, t)
         place_curve(b, t, whole_below(b[at.CURVE_PLACE]))
     if b[at.GUARDS] > 0.0:
+        last = at.FLAG + int(b[at.FLIPPED])
+        flag = b[last]
         invoke(b[at.DECIDE], b, t)
+        if b[at.FLIPPED_AT] == b[at.TIME]:
+            # It was crossed now; by rounding the state may be on either side.
+            b[last] = flag
     if b[at.CURVE] > 0.0:
         b[at.FLAG + int(b[at.LOW_GUARD])] = 1.0
         b[at.FLAG + int(b[at.HIGH_GUARD])] = 1.0

@@ -94,7 +94,7 @@ class Plan:
             blank[_SLOTS[name]] = as_double(self._library.address(name))
         blank[layout.STATES] = len(kernels.names)
         blank[layout.GUARDS] = kernels.guard_count
-        blank[layout.IS_CHECKED] = system.is_checked
+        blank[layout.IS_CHECKED] = kernels.is_checked
         blank[layout.HAS_PEAK] = system.peak is not None
         blank[layout.IS_FLUX] = system.flux_slope is not None
         blank[layout.WIDTH] = width

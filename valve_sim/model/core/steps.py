@@ -28,6 +28,14 @@ ANY_STEP: Final = 1e9
 """s: no limit of a step."""
 RETAKEN: Final = 0.6
 """Of the step whose series was too far off its equation: what is tried next."""
+SIZE_OF_V: Final = 1e-2
+"""m/s: below it the error of a velocity is held absolutely."""
+SIZE_OF_FORCE: Final = 1.0
+"""N: likewise of a force."""
+LONG: Final = 1e-2
+"""s: a longer step is one of polynomials that are exact, and may be shortened."""
+FARTHEST: Final = 1e6
+"""Of the size of a polynomial nearby: where it is larger, its roots nearby are lost in rounding."""
 OWN_ERROR: Final = 1e-3
 """m/s times the tolerance: a velocity that small has no sign; a crawl would turn for ever."""
 ROUNDING: Final = 1e-13
@@ -54,27 +62,77 @@ def step(b: Block, t: Block) -> int:
     """Find the next step from the state: its series, its size, and what ends it. −1 if it cannot be found."""
     if b[at.DENSITY] > 0.0:
         return step_with_gas(b, t)
-    if b[at.MOVING] == 0.0:
-        if b[at.WARM] >= 0.0 and b[at.VOLTS] == 0.0 and b[at.WIDTH] == 0.0:
-            settle_coil(b, t)
-        invoke(b[at.REST], b, t)
-    else:
-        invoke(b[at.MOVE], b, t)
-        if b[at.IS_CHECKED] > 0.0:
-            while b[at.DEFECT] > 1.0 and b[at.STEP] > SHORTEST_STEP:
-                b[at.LONGEST] = RETAKEN * b[at.STEP]
-                invoke(b[at.MOVE], b, t)
-            b[at.LONGEST] = ANY_STEP
+    if b[at.MOVING] == 0.0 and b[at.WARM] >= 0.0 and b[at.VOLTS] == 0.0 and b[at.WIDTH] == 0.0:
+        settle_coil(b, t)
+    b[at.LONGEST] = ANY_STEP
+    ends = try_step(b, t)
+    while b[at.IS_CHECKED] > 0.0 and ends > at.NO_EVENT and is_off(b, t):
+        b[at.LONGEST] = RETAKEN * b[at.STEP]
+        ends = try_step(b, t)
+    return ends
+
+
+def try_step(b: Block, t: Block) -> int:
+    """`step` of a size up to LONGEST. The series is compared with its equation within it, but not at an event."""
+    kernel = b[at.MOVE] if b[at.MOVING] > 0.0 else b[at.REST]
+    invoke(kernel, b, t)
+    before = 2.0 * FARTHEST
+    while b[at.IS_CHECKED] > 0.0 and b[at.DEFECT] > 1.0 and b[at.STEP] > SHORTEST_STEP:
+        if b[at.DEFECT] < FARTHEST and b[at.DEFECT] > 0.5 * before:
+            break  # A shorter step is no better: this is rounding, as of the sine of a large number.
+        before = b[at.DEFECT]
+        b[at.LONGEST] = RETAKEN * b[at.STEP]
+        invoke(kernel, b, t)
     h = b[at.STEP]
     if not (h >= SHORTEST_STEP) or b[at.END_X] - b[at.END_X] != 0.0 or b[at.END_V] - b[at.END_V] != 0.0:
         return -1
     if b[at.SUSPECT] == 0.0:
         return at.NO_EVENT
+    if h > LONG:
+        shorten(b, t)
     ends = first_event(b, t)
     if ends not in (at.NO_EVENT, at.RISE, at.FALL):
         b[at.ELAPSED] = b[at.STEP]
         invoke(b[at.AT], b, t)
     return ends
+
+
+def is_off(b: Block, t: Block) -> bool:
+    """Whether the series of x is off its equation at the event that ends the step: it was compared elsewhere only."""
+    if b[at.MOVING] == 0.0:
+        return False
+    h = b[at.STEP]
+    look_at_end(b, t)
+    slope = 0.0
+    for k in range(at.ORDER, 1, -1):
+        slope = k * (k - 1) * b[at.SERIES_X + k] + h * slope
+    is_far: bool = abs(slope - b[at.ACCELERATION]) * h > b[at.TOLERANCE] * max(abs(b[at.V]), SIZE_OF_V)
+    return is_far
+
+
+def shorten(b: Block, t: Block) -> None:
+    """Shorten a step whose polynomials reach so far that their roots nearby are lost in rounding."""
+    whole = b[at.STEP]
+    if b[at.MOVING] > 0.0:
+        bring_near(b, at.SERIES_X, b[at.STROKE])
+    else:
+        bring_near(b, at.GUARD, SIZE_OF_FORCE)
+        bring_near(b, at.GUARD + at.TERMS, SIZE_OF_FORCE)
+    count = int(b[at.GUARDS])
+    for guard in range(count):
+        bring_near(b, at.GUARD + (3 + guard) * at.TERMS, 0.0)
+    if b[at.STEP] < whole:
+        b[at.ELAPSED] = b[at.STEP]
+        invoke(b[at.AT], b, t)
+
+
+def bring_near(b: Block, c: int, least: float) -> None:
+    """Shorten the step until a polynomial is within FARTHEST of its size nearby, or of the least that counts."""
+    while b[at.STEP] > LONG:
+        near = abs(b[c]) + abs(b[c + 1]) * b[at.STEP] + least
+        if near == 0.0 or extent(b, c, b[at.STEP]) <= FARTHEST * near:
+            return
+        b[at.STEP] = 0.25 * b[at.STEP]
 
 
 def step_with_gas(b: Block, t: Block) -> int:
@@ -196,10 +254,13 @@ def look_at_end(b: Block, t: Block) -> None:
     kept = b[at.SCRATCH :]
     time = b[at.TIME]
     h = b[at.STEP]
-    density = b[at.END + int(b[at.DENSITY]) - at.X]
     b[at.ELAPSED] = h
-    invoke(b[at.AT], b, t)
-    b[at.END + int(b[at.DENSITY]) - at.X] = density
+    if b[at.DENSITY] > 0.0:
+        density = b[at.END + int(b[at.DENSITY]) - at.X]
+        invoke(b[at.AT], b, t)
+        b[at.END + int(b[at.DENSITY]) - at.X] = density
+    else:
+        invoke(b[at.AT], b, t)
     for i in range(states):
         kept[i] = b[at.X + i]
         b[at.X + i] = b[at.END + i]
@@ -222,7 +283,8 @@ def first_event(b: Block, t: Block) -> int:
     for guard in range(count):
         latest = b[at.STEP]
         c = at.GUARD + (3 + guard) * at.TERMS
-        if b[c] < 0.0 and -b[c] < RECOVERS * b[c + 1] * latest:
+        is_new = guard == b[at.FLIPPED] and b[at.FLIPPED_AT] == b[at.TIME]
+        if b[c] < 0.0 < b[c + 1] and (is_new or -b[c] < RECOVERS * b[c + 1] * latest):
             # It has just changed, and the state is off the root of the series before by rounding.
             b[c] = 0.0
         changes = first_fall(b, c, latest, ROUNDING * extent(b, c, latest))
@@ -323,7 +385,7 @@ def commit(b: Block, t: Block, time: float) -> None:
 
 
 FUNCTIONS: Final = (
-    step, step_with_gas, first_with_gas, happened_by, polish_gas_step, look_at_end, first_event, first_of_motion,
-    first_of_rest, balance, commit,
+    step, try_step, is_off, shorten, bring_near, step_with_gas, first_with_gas, happened_by, polish_gas_step,
+    look_at_end, first_event, first_of_motion, first_of_rest, balance, commit,
 )  # fmt: skip
 """What is compiled."""
