@@ -245,7 +245,10 @@ def test_where_the_budget_ended_the_recording_is_not_blamed(diagnosis: Diagnosis
     text = diagnosis_text(ended)
     assert "budget of 6,000 simulated strokes ended" in text and "--budget 3" in text
     assert "recordings cannot tell" not in text and "data cannot tell" not in text and "Record next" not in text
-    assert "likeliest" not in text
+    assert "likeliest" not in text and "probability" not in text.splitlines()[1]
+    rivals = replace(verdict, effects=("coil_lag",), confusable_with={"coil_lag": ("eddy_lag",)})
+    untried = diagnosis_text(replace(ended, verdict=rivals))
+    assert "so far coil lag fits best." in untried and "ddy currents" not in untried, "it was never fitted"
     report = to_json(ended)
     assert (report["verdict"]["ended"], report["record_next"]) == ("budget", None)
     whole = replace(ended, verdict=replace(verdict, is_cut_short=False), untried=())

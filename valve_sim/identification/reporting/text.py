@@ -72,8 +72,9 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
     declared = diagnosis.declared
     if declared or isinstance(diagnosis.plant, ValvePlant):
         lines.append(f"  {capitalised(summary_words(declared))}.")
+    is_untold = verdict.kind == "insufficient" and verdict.is_cut_short  # most of its rivals were never fitted
     for effect, others in verdict.confusable_with.items():
-        if others:
+        if others and not is_untold:
             alike = ", ".join(f"{title_of(other)} ({other})" for other in others)
             lines.append(f"  {title_of(effect)} ({effect}) could also be: {alike}")
     if advice := recording_advice(diagnosis):
@@ -98,6 +99,8 @@ def _nearest_lines(diagnosis: Diagnosis) -> list[str]:
 
 def _certainty(verdict: Verdict) -> str:
     """How sure the verdict is; of `none` only the probability, because the headline has the rest."""
+    if verdict.kind == "insufficient" and verdict.is_cut_short:
+        return f"{kind_words(verdict)[0]}."
     probability = f"probability {percent(verdict.probability)}"
     return f"{capitalised(probability)}." if verdict.kind == "none" else f"{kind_words(verdict)[0]} ({probability})."
 

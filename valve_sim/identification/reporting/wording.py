@@ -95,7 +95,8 @@ def headline(diagnosis: Diagnosis) -> str:
     if verdict.kind == "insufficient":
         start = "These recordings cannot tell what is missing"
         if verdict.is_cut_short:
-            start = "The budget ended before it could be told what is missing"
+            best = f"; so far {missing} fits best" if missing else ""
+            return f"The budget ended before it could be told what is missing{best}."
         return (
             f"{start}; {missing} fits best, {alike} about as well."
             if missing and alike
