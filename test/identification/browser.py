@@ -80,12 +80,6 @@ class Browser:
         answer = self.call("Page.captureScreenshot", captureBeyondViewport=True)
         path.write_bytes(base64.b64decode(answer["data"]))
 
-    def print(self, path: Path) -> None:
-        """The page on paper, as a PDF."""
-        path.write_bytes(
-            base64.b64decode(self.call("Page.printToPDF", printBackground=True, preferCSSPageSize=True)["data"])
-        )
-
     def call(self, method: str, **parameters: Any) -> Any:
         """The answer to a command of the protocol."""
         self._count += 1

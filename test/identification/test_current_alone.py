@@ -166,14 +166,6 @@ def test_a_strong_lag_that_held_out_data_refute_leaves_its_rivals_their_weight(r
     assert [rival.weight for rival in result.rivals] == [1.0] * len(result.rivals) != []
 
 
-def test_an_experiment_is_recorded_without_samples_at_its_commands_where_the_current_jumps() -> None:
-    trace, _ = recorded()
-    experiment = ValvePlant([trace], declared(BUILD)).experiments[0]
-    (channel,) = experiment.simulated({}).channels
-    assert len(channel.times) == len(channel.data) == 698
-    assert not np.isin(channel.times, [5e-3, 8e-3]).any()
-
-
 def test_the_motional_emf_shows_in_the_positions() -> None:
     """The work of the attraction is taken from the coil, so that the plungers are later than without."""
     build = BUILD._replace(supply_resistance=0.0, eddy_resistance=0.0)

@@ -17,9 +17,7 @@ import pytest
 from identification.browser import CHROMIUM, SETTINGS, Browser
 from identification.recordings import friction_found
 from valve_sim.files.parameter_files import load_valve
-from valve_sim.identification.diagnosis.experiment_design import Recommendation
 from valve_sim.identification.diagnosis.run import Diagnosis
-from valve_sim.identification.plants.protocol import Experiment
 from valve_sim.identification.reporting import html as report
 from valve_sim.identification.reporting.curves import StrokeCurves, keep_extremes, strokes_of
 from valve_sim.identification.reporting.files import write_diagnosis
@@ -29,7 +27,6 @@ from valve_sim.identification.reporting.wording import headline
 from valve_sim.model import CATALOGUE, ValveError
 from valve_sim.traces.synthetic import read_profile
 
-HOSTILE = "</script><script>throw 1</script><img src=http://127.0.0.1:9/x>"
 LARGEST_PAGE = 8_000_000
 needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed to open the report in")
 
@@ -88,16 +85,6 @@ def test_the_page_says_what_was_found(diagnosis: Diagnosis, page: Path) -> None:
     assert "valve-sim diagnose strokes.mcap" in text
 
 
-def test_the_page_says_why_no_force_is_drawn(diagnosis: Diagnosis, tmp_path: Path) -> None:
-    path, nothing = tmp_path / "report.html", "The residual is only noise"
-    assert not diagnosis.before.adequacy.is_white
-    report.write_report(replace(diagnosis, maps=()), path)
-    assert "explains the data nearly as well as the named effects" in path.read_text(encoding="utf-8")
-    assert nothing not in path.read_text(encoding="utf-8")
-    report.write_report(replace(diagnosis, maps=(), before=diagnosis.after), path)
-    assert nothing in path.read_text(encoding="utf-8")
-
-
 def test_root_mean_squares_of_strokes_add_up_to_those_of_the_diagnosis(diagnosis: Diagnosis) -> None:
     strokes = [stroke for stroke in strokes_of(diagnosis) if not stroke.is_held_out]
     squares = sum(len(stroke.time) * stroke.root_mean_squares[0] ** 2 for stroke in strokes)
@@ -125,18 +112,6 @@ def test_a_hundred_strokes_fit_into_eight_megabytes(
     report.write_report(diagnosis, path)
     assert path.read_text(encoding="utf-8").count("data-stroke=") == 100
     assert path.stat().st_size <= LARGEST_PAGE
-
-
-def hostile(diagnosis: Diagnosis, path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
-    with_strokes(monkeypatch, [replace(strokes_of(diagnosis)[0], title=HOSTILE, quantity=HOSTILE)])
-    advised = Recommendation(
-        Experiment(HOSTILE, lambda machine: diagnosis.plant, ((0.0, 9.0), (4e-3, 0.0))),
-        {("coulomb_friction", "stiction"): 7.0},
-    )
-    unsure = replace(diagnosis.verdict, confusable_with={"coulomb_friction": ("stiction",)})
-    asked = replace(diagnosis, sources=(HOSTILE,), verdict=unsure, recommendation=advised)
-    report.write_report(asked, path, provenance=HOSTILE)
-    return path.read_text(encoding="utf-8")
 
 
 def test_a_page_that_cannot_be_written_is_one_clear_error(diagnosis: Diagnosis, tmp_path: Path) -> None:

@@ -64,9 +64,3 @@ def problem_of(plant: LinearPlant) -> Problem:
 def measured(seed: int = 5) -> Array:
     """Two of the first column and noise."""
     return np.asarray(2.0 * COLUMNS[:, 0] + SIGMA * np.random.default_rng(seed).standard_normal(SAMPLES))
-
-
-def least_squares(columns: Array, residuals: Array) -> float:
-    """What is left of the sum of squares of whitened residuals beside columns that are fitted to them."""
-    found = np.linalg.lstsq(columns, residuals, rcond=1e-12)[0]
-    return float(np.sum(np.square(residuals - columns @ found)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -19,7 +18,7 @@ from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Array, EffectChoice, Nuisance
-from valve_sim.identification.selection.posterior import decide, posterior_of
+from valve_sim.identification.selection.posterior import decide
 from valve_sim.identification.selection.search import Search
 from valve_sim.model import Parameter, Tolerances
 
@@ -120,15 +119,6 @@ def test_other_names_in_another_order_change_no_probability() -> None:
         assert decide(second).probability == pytest.approx(decide(first).probability, abs=1e-4)
     assert decide(first).names == ("alpha", "gamma")
     assert 0.5 < first.inclusion()["alpha"] < 0.9999
-
-
-def test_a_sum_over_more_sets_that_say_nothing_changes_no_order() -> None:
-    """The table alone decides: what is added to it with no evidence takes nothing but its prior."""
-    search = searched({name: name for name in EFFECTS}, list(EFFECTS))
-    table = search.table()
-    for order in itertools.islice(itertools.permutations(table), 20):
-        again = posterior_of(search.rivals, {names: table[names] for names in order})
-        assert decide(again) == decide(search.posterior())
 
 
 # -- a valve -----------------------------------------------------------------------------------------------------------
