@@ -1,7 +1,7 @@
 """Formulas as MathML, which browsers draw by themselves: no JavaScript, no fonts from a network, nothing to install.
 
 An equation's label says its number: `$$ … $$ (eq-21)` is equation (21), wherever it stands, so that "eq. (21)" in a
-docstring stays true when another equation goes.
+docstring stays true where another equation goes.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ logger = logging.getLogger(__name__)
 
 
 def number_by_label(app: Sphinx, doctree: nodes.document) -> None:
-    """Give each equation the number that its label says."""
+    """Let each equation have the number of its label."""
     for node in doctree.findall(nodes.math_block):
         label = node.get("label") or ""
         if label.startswith("eq-"):
