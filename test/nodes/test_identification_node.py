@@ -159,6 +159,7 @@ def test_what_was_set_all_the_same_can_be_undone(probe: Probe, live: Probe, tmp_
     assert {"valve.main_damping", "effects.coulomb_friction.force", "tolerances.stroke"} <= section.values.keys()
 
 
+@pytest.mark.long
 def test_the_replay_is_the_recording_beside_the_model(probe: Probe, tmp_path: Path) -> None:
     bag = BAGS / "one_opening.mcap"
     trace = read_trace(bag)

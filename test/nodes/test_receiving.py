@@ -203,6 +203,7 @@ def test_a_publisher_that_cannot_be_heard_is_counted(probe: Probe, hearing: Call
     assert probe.until(lambda: source.incompatible_publishers == 1)
 
 
+@pytest.mark.long
 def test_a_publisher_of_another_type_is_warned_of_once(
     probe: Probe, hearing: Callable[..., Hearing], monkeypatch: pytest.MonkeyPatch
 ) -> None:

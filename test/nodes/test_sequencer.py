@@ -105,6 +105,7 @@ def test_each_valve_is_opened_in_its_turn_and_closed_again(station: list[Tank], 
         assert tank.is_without_voltage()
 
 
+@pytest.mark.long
 def test_a_valve_that_sticks_closes_all_and_is_named(station: list[Tank], tmp_path: Path) -> None:
     first, stuck, last = station
     before = [tank.openings() for tank in station]

@@ -295,12 +295,7 @@ class Change(NamedTuple):
 
 
 class RemoteParameters:
-    """Parameters of a running valve node. The methods block, so they must not be called by the spinning thread.
-
-    Args:
-        node: makes the requests; another thread spins it.
-        name: full name of the valve node.
-    """
+    """Parameters of a running valve node. The methods block, so they must not be called by the spinning thread."""
 
     def __init__(self, node: Node, name: str) -> None:
         self.name = name
