@@ -1,4 +1,4 @@
-"""How colcon and pip install valve_sim. Name, version and description are package.xml's."""
+"""How colcon and pip install valve_sim. Name, version, people and addresses are package.xml's."""
 
 from pathlib import Path
 from xml.etree import ElementTree
@@ -24,7 +24,7 @@ RUNS_WITHOUT_ROS = [
     "scipy>=1.11",
     "zstandard>=0.20",
 ]
-PAPER = "https://doi.org/10.3390/app11052329"
+URLS = {url.attrib["type"]: url.text or "" for url in MANIFEST.findall("url")}
 CLASSIFIERS = [
     "Development Status :: 4 - Beta",
     "Environment :: Console",
@@ -92,8 +92,10 @@ setup(
     license_files=["LICENSE"],
     long_description=(HERE / "README.md").read_text(encoding="utf-8"),
     long_description_content_type="text/markdown",
-    url=PAPER,
-    project_urls={"Paper of the model": PAPER},
+    author=MANIFEST.findtext("author"),
+    author_email=MANIFEST.find("author").attrib["email"],
+    url=URLS["repository"],
+    project_urls={"Bug tracker": URLS["bugtracker"], "Paper of the model": URLS["website"]},
     classifiers=CLASSIFIERS,
     keywords=["ROS", "fault diagnosis", "hybrid systems", "solenoid valve", "system identification"],
     python_requires=">=3.10,<3.15",

@@ -5,6 +5,7 @@ the turns is shown, as machines change their speed by two within seconds.
 solvers: one opening (15 ms at 9 V, 150 outputs) in the core, by one call of `simulate`, and by SciPy RK45 with
 events, in turns; a ratio is the median of those of each turn.
 live: steps of 1 ms of the live valve. start: the first result of a process, with an empty cache and with a full one.
+whole: `identify` and `diagnose` on shipped recordings as new processes, CPU time.
 commands: `valve-sim identify` of half a second at 20 kHz as a new process, the fit in it, and reading.
 
 `long`, which is run only where it is named: `info`, `identify` and `validate` on recordings of --strokes strokes of
@@ -28,6 +29,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple
+from unittest.mock import patch
 
 import numpy as np
 from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
@@ -271,6 +273,22 @@ def commands(options: argparse.Namespace) -> list[Row]:
     ]
 
 
+SHIPPED: Final = Path(__file__).parents[1]
+
+
+def whole(options: argparse.Namespace) -> list[Row]:
+    """CPU seconds of commands on shipped recordings: with an empty cache of compiled code, and with a full one."""
+    rows = []
+    for name in ("identify bags/eight_strokes.mcap", "diagnose bags/eight_strokes.mcap", "diagnose bags/friction"):
+        with tempfile.TemporaryDirectory(prefix="valve_sim-") as place:
+            command, bag = name.split()
+            words = [command, str(SHIPPED / bag), "--output", f"{place}/results"]
+            with patch.dict(os.environ, {"VALVE_SIM_CACHE": f"{place}/cache"}):
+                empty, full = (run(words, Path(place) / "log").seconds for _ in range(2))
+        rows.append(Row((name, f"{empty:.1f}", f"{full:.1f}"), None))
+    return rows
+
+
 # --- long recordings --------------------------------------------------------------------------------------------------
 
 PERIOD, POWERED, RATE = 0.08, 0.04, 20_000
@@ -345,6 +363,7 @@ PARTS: Final[Mapping[str, Part]] = {
     "solvers": Part("15 ms opening, 150 outputs, 1e-8", ("what", "µs", "ratio", "event error, s", "wanted"), solvers),
     "live": Part("live steps of 1 ms", ("what", "each", "wanted"), live),
     "start": Part("start, CPU s", ("effects", "imports", "first result, empty cache", "full cache"), start),
+    "whole": Part("whole commands, CPU s", ("command", "nothing compiled", "compiled"), whole),
     "commands": Part("what a user waits for", ("what", "measured", "wanted"), commands),
     "long": Part(
         f"long recordings: at most {FLAT:g} a stroke, {BYTES_PER_SAMPLE:g} B a sample beyond 250 MB",

@@ -3,6 +3,7 @@
 import csv
 import html
 import json
+import os
 import re
 import signal
 import subprocess
@@ -435,6 +436,62 @@ def test_what_cannot_be_written_is_refused_before_anything_is_read(
     assert re.fullmatch(rf"valve-sim: {given[-1]}: cannot be written \(.*\); choose another place\n", result.stderr)
 
 
+# --- hostile input ---
+
+PARAMETERS = [
+    ("info", "{bag}", "--params", "{hostile}"),
+    ("identify", "{bag}", "--params", "{hostile}", "--output", "{folder}/o"),
+    ("diagnose", "{bag}", "--params", "{hostile}", "--output", "{folder}/o"),
+    ("validate", "{bag}", "--params", "{hostile}"),
+    ("simulate", "--voltage", "9", "--duration", "0.02", "--params", "{hostile}", "--output", "{folder}/x.csv"),
+    ("map", "{bag}", "--params", "{hostile}"),
+    ("fit-force", "{folder}/force.csv", "--params", "{hostile}", "--output", "{folder}/o"),
+    ("export-fmu", "--params", "{hostile}", "--output", "{folder}/x.fmu"),
+]
+"""Commands with a parameter file."""
+OTHERS = [
+    ("info", "{bag}", "--map", "{hostile}"),
+    ("validate", "{bag}", "--plant", "{hostile}"),
+    ("simulate", "--plant", "{hostile}", "--duration", "1", "--output", "{folder}/x.csv"),
+    ("simulate", "--profile", "{hostile}", "--duration", "1", "--output", "{folder}/x.csv"),
+    ("fit-force", "{folder}/force.csv", "--map", "{hostile}", "--output", "{folder}/o"),
+]
+HOSTILE = {
+    "endless": lambda path: path.symlink_to("/dev/zero"),
+    "pipe": os.mkfifo,
+    "digits": lambda path: path.write_text("a: " + 20_000 * "9"),
+    "brackets": lambda path: path.write_text(20_000 * "["),
+    "aliases": lambda path: path.write_text(
+        "\n".join(["k0: &k0 [x]", *(f"k{n}: &k{n} [{', '.join(9 * [f'*k{n - 1}'])}]" for n in range(1, 9))])
+    ),
+    "date": lambda path: path.write_text("a: 2026-13-45"),
+    "list as key": lambda path: path.write_text("? [1, 2]\n: 3\n"),
+    "bytes": lambda path: path.write_bytes(bytes(range(256)) * 1000),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("command", "kind"),
+    [
+        *((command, "endless") for command in (*PARAMETERS[1:], *OTHERS)),
+        *((command, kind) for command in (PARAMETERS[0], OTHERS[1]) for kind in HOSTILE),
+    ],
+)
+def test_a_hostile_file_is_refused_at_once_in_one_line(command: tuple[str, ...], kind: str, tmp_path: Path) -> None:
+    """The limits are those of the readers, which every command uses."""
+    (tmp_path / "force.csv").write_text("displacement,force\n0,1\n1e-3,2\n")
+    HOSTILE[kind](tmp_path / "hostile.yaml")
+    places = {"bag": BAGS / "one_opening.mcap", "hostile": tmp_path / "hostile.yaml", "folder": tmp_path}
+    before = sorted(tmp_path.iterdir())
+    started = time.process_time()
+    result = run(*(word.format(**places) for word in command))
+    assert time.process_time() - started < 2.0
+    assert result.exit_code == 2
+    assert result.stderr.count("\n") == 1 and "hostile.yaml" in result.stderr
+    assert len(result.stderr) < 1000
+    assert sorted(tmp_path.iterdir()) == before
+
+
 # --- as a real process ---
 
 
@@ -453,12 +510,28 @@ def test_process_answers_on_stdout_and_refuses_on_stderr(strokes: Path, tmp_path
     assert (done.returncode, done.stdout, done.stderr) == (0, "{", "")
 
 
-@pytest.mark.parametrize("after", [0.15, 0.4, pytest.param(1.5, marks=LONG), pytest.param(4.0, marks=LONG)])
+SAYS_WHEN_IT_LOADS = """
+import sys
+from valve_sim.__main__ import main
+class Says:
+    def find_spec(self, name, *rest):
+        if name == "valve_sim.cli": print("loading", file=sys.stderr, flush=True)
+sys.meta_path.insert(0, Says())
+main()
+"""
+
+
+@pytest.mark.parametrize("after", [0.0, 0.1, pytest.param(1.0, marks=LONG), pytest.param(5.0, marks=LONG)])
 def test_ctrl_c_at_any_time_is_one_line_and_exit_130(tmp_path: Path, after: float):
     """While modules load, and while a fit runs; the folder of the results has nothing half written."""
-    script = Path(sys.executable).with_name("valve-sim")
-    command = [str(script), "diagnose", str(BAGS / "friction"), "--output", str(tmp_path / "results")]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    command = ["diagnose", str(BAGS / "friction"), "--output", str(tmp_path / "results")]
+    program = [sys.executable, "-c", SAYS_WHEN_IT_LOADS, *command]
+    handler = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job would ignore it
+    try:
+        process = subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    finally:
+        signal.signal(signal.SIGINT, handler)
+    assert process.stderr is not None and process.stderr.readline() == "loading\n"
     time.sleep(after)
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=60)

@@ -6,6 +6,7 @@ Folders whose input is written anew by another test are listed with it.
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -112,6 +113,13 @@ def test_a_number_that_is_a_name_and_counts_another_column_is_refused() -> None:
     result = run("info", path, "--map", f"{path}.map.yaml")
     assert result.exit_code == 2
     assert "is ambiguous" in result.stderr
+
+
+def test_a_recording_is_not_fitted_with_the_parameters_of_another_valve(tmp_path: Path) -> None:
+    folder = INPUTS / "parameters_of_another_valve"
+    result = run("identify", folder / "tank_1.mcap", "--params", folder / "two.yaml", "--output", tmp_path)
+    assert result.exit_code == 0, result.stderr
+    assert re.search(r"^main_damping .* 5\.00 N·s/m$", result.stdout, re.MULTILINE)
 
 
 # --- what the fit and the loop say falsely until their issues ---

@@ -277,3 +277,4 @@ def test_a_refit_finds_what_was_simulated_within_its_errors(seed: int) -> None:
         interval = found.intervals[name]
         assert abs(interval.value - value) < 4.0 * interval.stderr, name
         assert interval.stderr < 0.1 * value, name
+    assert found.fit.chi2 / found.fit.problem.effective_samples == pytest.approx(1.0, abs=0.2), "what is left is noise"

@@ -1,10 +1,11 @@
 """Messages that nobody would send on purpose, to nodes that run: `python -m benchmarks.fuzz --only topics`.
 
-valve_node, a second one on simulated time, identification_node and monitor_node get, at up to 10 kHz and more: voltages
-that are no numbers, denormal or huge; JointStates of wrong lengths, names and stamps from 1901 to 2038 (what the stamp
-can hold), forwards and backwards; a /clock that does likewise; serialized messages that are cut or changed; publishers
-of another type on the topic. Then each must live, have written no traceback, not have grown, and do its work: step,
-obey the next good command, play, count samples. What is not so is printed as a finding, and the exit code is 1.
+valve_node, a second one on simulated time, identification_node, monitor_node, opcua_node and archive_node get, at up to
+10 kHz and more: voltages that are no numbers, denormal or huge; JointStates of wrong lengths, names and stamps from
+1901 to 2038 (what the stamp can hold), forwards and backwards; a /clock that does likewise; reports and findings that
+are no JSON, too long, too deep or of other types; serialized messages that are cut or changed; publishers of another
+type on the topic. Then each must live, have written no traceback, not have grown, and do its work: step, obey the next
+good command, play, count samples, serve, archive. What is not so is printed as a finding, and the exit code is 1.
 
 Needs ROS 2. The same seed sends the same messages.
 """
@@ -14,8 +15,11 @@ from __future__ import annotations
 import array
 import collections
 import contextlib
+import importlib.util
 import itertools
+import json
 import math
+import socket
 import struct
 import tempfile
 import time
@@ -26,15 +30,17 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import rclpy
 from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticArray
-from nodes.ros_process import NodeProcess, Probe, running
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from nodes.ros import LATCHED
+from nodes.ros_process import NodeProcess, Probe, free_port, running
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import Imu, JointState
+from sensor_msgs.msg import BatteryState, Imu, JointState
 from std_msgs.msg import Bool, Float64, String, UInt8
 
 from benchmarks.common import resident
 from benchmarks.nodes.driver import ros
+from valve_sim.records.archive import Archive
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 
@@ -53,6 +59,35 @@ NUMBERS: Final = (
 SECONDS: Final = (0, 1, -1, -(2**31), 2**31 - 1, 2**31 - 2, 1_700_000_000, 10_000)
 """Of a stamp: 1970, 1901, 2038; 2106 is beyond what its 32 bits with a sign can hold."""
 NAMES: Final = ("pilot_plunger", "main_plunger", "elbow", "", "pilot_plunger\x00", "é" * 300, "<script>")
+
+REPORT: Final[dict[str, object]] = {
+    "schema": "valve_sim/stroke/1", "valve": "/valve", "time": 1.7e9, "stroke": 1, "volts": 9.0, "t1": 5.3e-3,
+    "t2": 9.9e-3, "opened": True, "closed": True, "residual_rms_um": 1.0, "scores": {"a": 1.0, "b": None},
+    "alarm": {"raised": False, "sum": 1.0, "threshold": 9.0, "cause": ""}, "damping": {"pilot_damping": {"value": 1.0}},
+}  # fmt: skip
+"""Fields of ~/stroke_report."""
+FINDING: Final = {
+    "valve": "/valve", "stroke": "3", "time": "1.7e9", "kind": "effects", "effects": "stiction", "probability": "0.9",
+    "parameters.stiction.force.value": "0.3", "parameters.stiction.force.stderr": "0.01",
+}  # fmt: skip
+VALUES: Final = (
+    None,
+    True,
+    "",
+    "x" * 3000,
+    "1",
+    "soon",
+    -1,
+    2**70,
+    1e308,
+    math.nan,
+    math.inf,
+    [],
+    [[1.0]] * 9,
+    {},
+    0.5,
+)
+TEXTS: Final = ("[" * 200_000, "{" * 50_000, '{"a":' * 5000, "Infinity", "", "null", "9" * 30_000, "é" * 200_000, "{}")
 
 Random = np.random.Generator
 
@@ -112,6 +147,49 @@ def any_clock(random: Random) -> Clock:
     return Clock(clock=any_stamp(random))
 
 
+def any_coil(random: Random) -> BatteryState:
+    """A stamped current and voltage."""
+    message = BatteryState()
+    message.header.stamp = any_stamp(random)
+    message.current, message.voltage = (float(np.float32(min(max(any_number(random), -3e38), 3e38))) for _ in range(2))
+    return message
+
+
+def one_of(values: Sequence[Any], random: Random) -> Any:
+    """Any of them."""
+    return values[int(random.integers(len(values)))]
+
+
+def any_report(random: Random) -> String:
+    """A stroke's report, one of whose fields holds anything, or a text that is none."""
+    if random.random() < 0.1:
+        return String(data=one_of(TEXTS, random))
+    report = dict(REPORT)
+    for _ in range(int(random.integers(1, 4))):
+        name = one_of(list(REPORT), random)
+        value = one_of(VALUES, random)
+        report[name] = {"a": value, "value": value, "sum": value} if random.random() < 0.3 else value
+    return String(data=json.dumps(report))
+
+
+def any_diagnostics(random: Random) -> DiagnosticArray:
+    """Statuses of the nodes that are heard, with values of a finding, some of which hold anything."""
+    message = DiagnosticArray()
+    message.header.stamp = any_stamp(random)
+    for _ in range(int(random.integers(4))):
+        texts = (*FINDING.values(), "nan", "inf", "1e308", "", "x" * 3000, "-1", "é\x00")
+        values = {name: value if random.random() < 0.7 else one_of(texts, random) for name, value in FINDING.items()}
+        message.status.append(
+            DiagnosticStatus(
+                level=bytes([int(random.integers(256))]),
+                name=one_of(("monitor: valve", "monitor: finding", "valve: timing", "", "x: y"), random),
+                message=one_of(("as commissioned", "x" * 3000, ""), random),
+                values=[KeyValue(key=name, value=value) for name, value in values.items()],
+            )
+        )
+    return message
+
+
 def broken(message: Any, random: Random) -> bytes:
     """A serialized message that is cut, or some of whose bytes are others."""
     content = bytearray(serialize_message(message))
@@ -133,9 +211,13 @@ class Surface(NamedTuple):
 
 
 SURFACES: Final = (
-    Surface("/valve/coil_voltage", Float64, any_voltage, (String, JointState), 0.4),
-    Surface("/valve/measured/joint_states", JointState, any_joint_state, (Imu, Float64), 0.4),
-    Surface("/clock", Clock, any_clock, (), 0.2),
+    Surface("/valve/coil_voltage", Float64, any_voltage, (String, JointState), 0.25),
+    Surface("/valve/measured/joint_states", JointState, any_joint_state, (Imu, Float64), 0.25),
+    Surface("/valve/measured/coil", BatteryState, any_coil, (Float64,), 0.1),
+    Surface("/clock", Clock, any_clock, (), 0.1),
+    Surface("/monitor/stroke_report", String, any_report, (Float64,), 0.15),
+    Surface("/monitor/finding", DiagnosticArray, any_diagnostics, (String,), 0.1),
+    Surface("/diagnostics", DiagnosticArray, any_diagnostics, (), 0.05),
 )
 
 
@@ -153,7 +235,8 @@ class Sender:
         self.sent: collections.Counter[str] = collections.Counter()
         self._probe = probe
         self._surface = surface
-        self._good = probe.talker(surface.topic, surface.kind)
+        # Findings are latched: a subscriber that wants them so hears no other publisher.
+        self._good = probe.talker(surface.topic, surface.kind, LATCHED if surface.topic.endswith("/finding") else 10)
         # A participant knows one type of a topic, so each wrong one has a participant of its own.
         self._strangers = [
             stranger(f"{kind.__name__.lower()}_on{surface.topic.replace('/', '_')}") for kind in surface.wrong_kinds
@@ -194,11 +277,16 @@ class Sender:
 
 
 Nodes = dict[str, NodeProcess]
-NAMES_OF_NODES: Final = ("valve", "simulated", "identification", "monitor")
+NEEDS: Final = {
+    "valve": "rclpy", "simulated": "rclpy", "identification": "rclpy", "monitor": "rclpy", "archive": "rclpy",
+    "opcua": "asyncua",
+}  # fmt: skip
+"""The library that each node needs."""
+NAMES_OF_NODES: Final = tuple(name for name, module in NEEDS.items() if importlib.util.find_spec(module) is not None)
 
 
 @contextlib.contextmanager
-def under_fire(folder: Path, names: Sequence[str]) -> Iterator[Nodes]:
+def under_fire(folder: Path, names: Sequence[str], port: int) -> Iterator[Nodes]:
     """The nodes of these names while inside."""
     on_sim_time = ["--ros-args", "-p", "use_sim_time:=true"]
     bag = ["-p", f"bag:={ROOT / 'bags' / 'one_opening.mcap'}", "-p", "loop:=true", "-p", "rate:=0.01"]
@@ -207,6 +295,8 @@ def under_fire(folder: Path, names: Sequence[str]) -> Iterator[Nodes]:
         "simulated": ([*on_sim_time, "-r", "__node:=simulated"], "valve_node"),
         "identification": ([*on_sim_time, *bag, "-p", f"output:={folder}"], "identification_node"),
         "monitor": ([], "monitor_node"),
+        "archive": (["--ros-args", "-p", f"folder:={folder / 'archive'}"], "archive_node"),
+        "opcua": (["--ros-args", "-p", f"folder:={folder / 'opcua'}", "-p", f"port:={port}"], "opcua_node"),
     }
     with contextlib.ExitStack() as stack:
         yield {name: stack.enter_context(running(folder, *how[name])) for name in names}
@@ -215,8 +305,8 @@ def under_fire(folder: Path, names: Sequence[str]) -> Iterator[Nodes]:
 class Check:
     """What each node does when all is well, as seen from outside."""
 
-    def __init__(self, nodes: Nodes) -> None:
-        self.nodes = nodes
+    def __init__(self, nodes: Nodes, folder: Path, port: int) -> None:
+        self.nodes, self._folder, self._port = nodes, folder, port
         self.findings: list[str] = []
         self.probe = Probe("/valve")
         self._now, self._acted = 10**9, 0.0
@@ -229,6 +319,7 @@ class Check:
         self._voltage = {name: probe.talker(f"/{name}/coil_voltage", Float64) for name in ("valve", "simulated")}
         self._samples = probe.talker("/valve/measured/joint_states", JointState)
         self._clock = probe.talker("/clock", Clock)
+        self._reports = probe.talker("/monitor/stroke_report", String)
 
     def forget(self) -> None:
         """Empty the ears; the latched ones keep their last."""
@@ -245,6 +336,8 @@ class Check:
             "simulated": lambda: self._valve_works("simulated", self._tick),
             "identification": self._identification_works,
             "monitor": self._monitor_works,
+            "archive": self._archive_works,
+            "opcua": self._opcua_works,
         }
         for name in self.nodes:
             if not checks[name]():
@@ -310,6 +403,32 @@ class Check:
 
         return self.probe.until(counts, PATIENCE)
 
+    def _archive_works(self) -> bool:
+        """It keeps a good report that comes now."""
+        begun = time.time()
+
+        def report() -> None:
+            self._reports.publish(String(data=json.dumps({**REPORT, "time": time.time()})))
+
+        def keeps() -> bool:
+            self._now_and_then(report)
+            rows = Archive(self._folder / "archive").read("strokes", "/valve")
+            return any(row["time"].timestamp() > begun for row in rows)
+
+        return self.probe.until(keeps, PATIENCE)
+
+    def _opcua_works(self) -> bool:
+        """It answers at its port."""
+
+        def answers() -> bool:
+            try:
+                socket.create_connection(("127.0.0.1", self._port), 1.0).close()
+            except OSError:
+                return False
+            return True
+
+        return self.probe.until(answers, PATIENCE)
+
     def _samples_counted(self) -> int:
         for message in reversed(self._diagnostics):
             for status in message.status:
@@ -338,12 +457,12 @@ def millisecond_steps(samples: Sequence[JointState]) -> int:
 
 def fuzz(messages: int, seed: int, rounds: int, names: Sequence[str]) -> list[str]:
     """Start the nodes, send, check between rounds, print counts; the findings."""
-    random = np.random.default_rng(seed)
+    random, port = np.random.default_rng(seed), free_port()
     with (
         tempfile.TemporaryDirectory(prefix="valve_sim-topic-fuzz-") as folder,
-        under_fire(Path(folder), names) as nodes,
+        under_fire(Path(folder), names, port) as nodes,
     ):
-        check = Check(nodes)
+        check = Check(nodes, Path(folder), port)
         senders = {surface.topic: Sender(check.probe, surface) for surface in SURFACES}
         check.all("before")
         seconds = 0.0

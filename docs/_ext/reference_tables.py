@@ -73,6 +73,14 @@ def _topics() -> Iterator[str]:
         "sensors, and where neither comes the pressures that are sent to it. What is read from a bag is on the page of "
         "[channels](channels.md)."
     )
+    yield "## Why a coil is a BatteryState"
+    yield (
+        "ROS 2 has no standard message for the current and voltage of a coil. sensor_msgs/msg/BatteryState is the only "
+        "one that holds both beside a stamp. `voltage` is the voltage at the coil's terminals, V; `current` is the "
+        "current through the coil, A, positive where a positive voltage drives it. A number that was not measured is "
+        "NaN, and all other fields mean nothing. A sensor of your own that publishes two topics needs no BatteryState: "
+        "[a map](../how_to/your_own_recordings.md) reads them from a bag."
+    )
 
 
 def _topic(entry: Topic) -> tuple[str, ...]:

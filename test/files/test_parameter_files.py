@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import tempfile
 from pathlib import Path
@@ -13,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, seed, settings
 from hypothesis import strategies as st
 
-from valve_sim.files.parameter_files import default_valve, load_valve, save_valve
+from valve_sim.files.parameter_files import default_valve, load_recorded_valve, load_valve, save_valve
 from valve_sim.files.parameter_sections import Section, default_parameters, read_sections, write_sections
 from valve_sim.files.resources import config_path
 from valve_sim.model import CATALOGUE, DECLARED, EXACT, Drive, ParameterError, Valve, published_times, simulate
@@ -264,6 +263,41 @@ def test_a_file_that_cannot_be_written_is_left_as_it_was(tmp_path: Path) -> None
     assert list(tmp_path.iterdir()) == [target]
 
 
+TWO = """
+/**:
+  ros__parameters: {valve: {main_damping: 5.0}}
+/tank_2/valve:
+  ros__parameters: {valve: {main_damping: 9.0}}
+"""
+
+
+@pytest.mark.parametrize(("recorded", "damping"), [("/tank_1/valve", 5.0), ("tank_2/valve/", 9.0), (None, 5.0)])
+def test_a_recording_takes_the_section_of_its_own_valve(recorded: str | None, damping: float, tmp_path: Path) -> None:
+    assert load_recorded_valve(written(tmp_path, TWO), recorded).parameters.main_damping == damping
+
+
+def test_a_recording_does_not_take_the_only_section_of_another_valve(tmp_path: Path) -> None:
+    path = written(tmp_path, TWO[TWO.index("/tank_2") :])
+    assert load_recorded_valve(path, "/valve").parameters.main_damping == 9.0
+    with pytest.raises(ParameterError, match=r"describes /tank_2/valve, expected /tank_1/valve, which was recorded"):
+        load_recorded_valve(path, "/tank_1/valve")
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ("spring_rate: 0.9", r"spring_rate: found 0\.9 N/m, expected 0 or at least 10 N/m; 0\.9 N/mm are 900 N/m"),
+        (
+            "pilot_gap: 0.0, stroke: 1e-3, moving_mass: 0.01",
+            r"pilot_gap: found 0, a valve with one plunger, without valve\.main_damping, valve\.spring_rate, ",
+        ),
+    ],
+)
+def test_what_means_something_else_is_refused(values: str, words: str, tmp_path: Path) -> None:
+    with pytest.raises(ParameterError, match=words):
+        load_valve(written(tmp_path, below_parameters(f"valve: {{{values}}}")))
+
+
 def test_plain_copies_mean_the_same(tmp_path: Path) -> None:
     path = written(
         tmp_path,
@@ -273,20 +307,6 @@ def test_plain_copies_mean_the_same(tmp_path: Path) -> None:
     write_sections(copy, read_sections(path))
     assert read_sections(copy) == read_sections(path)
     assert "0.0, 1.5" in copy.read_text()
-
-
-def test_shipped_files_say_where_each_value_is_from() -> None:
-    for name in ("valve.yaml", "published.yaml"):
-        lines = config_path(name).read_text().splitlines()
-        sourced = ("published", "calibrated", "assumed", "rounding")
-        seen = []
-        for before, line in itertools.pairwise(lines):
-            key, colon, _ = line.partition(":")
-            if colon and key.strip() in (*Valve().parameters._fields, "attraction_covariance"):
-                about = lines[lines.index(line) - 4 : lines.index(line)] if "covariance" in key else [before]
-                assert any(word in line + "".join(about) for word in sourced), f"{name}: {line}"
-                seen.append(key.strip())
-        assert len(seen) == len(Valve().parameters._fields) + 8, f"{name}: {seen}"
 
 
 def test_the_default_opens_at_the_published_times_and_the_published_one_never() -> None:

@@ -52,7 +52,9 @@ def seconds_to_end(folder: Path, node: str, number: signal.Signals) -> tuple[flo
             process.kill()
 
 
-@pytest.mark.parametrize("node", PLACES)
+@pytest.mark.parametrize(
+    "node", ["valve_node", "monitor_node", *(pytest.param(node, marks=pytest.mark.long) for node in list(PLACES)[2:])]
+)
 def test_a_node_ends_within_two_seconds_whatever_it_calculates(in_own_domain: None, tmp_path: Path, node: str) -> None:
     # A machine that is busy with something else holds up one of them, and not each.
     tries = (seconds_to_end(tmp_path, node, signal.SIGINT) for _ in range(3))

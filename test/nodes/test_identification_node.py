@@ -114,6 +114,7 @@ EXACT = config_path("tank_1.yaml")
 """The shipped valve, its values taken as exact."""
 
 
+@pytest.mark.long
 @pytest.mark.any_distribution
 def test_a_fit_that_leaves_more_than_tolerances_is_not_handed_on(probe: Probe, live: Probe, tmp_path: Path) -> None:
     results = probe.hear("result", String, latched=True)
@@ -158,6 +159,7 @@ def test_what_was_set_all_the_same_can_be_undone(probe: Probe, live: Probe, tmp_
     assert {"valve.main_damping", "effects.coulomb_friction.force", "tolerances.stroke"} <= section.values.keys()
 
 
+@pytest.mark.long
 def test_the_replay_is_the_recording_beside_the_model(probe: Probe, tmp_path: Path) -> None:
     bag = BAGS / "one_opening.mcap"
     trace = read_trace(bag)
@@ -191,6 +193,7 @@ class ByStamp:
         return np.array([message.position[0] for _, message in sorted(self.messages.items())])
 
 
+@pytest.mark.long
 @pytest.mark.any_distribution
 def test_a_diagnosis_is_published_too(probe: Probe, tmp_path: Path) -> None:
     results = probe.hear("result", String, latched=True)
@@ -209,6 +212,7 @@ def test_a_diagnosis_is_published_too(probe: Probe, tmp_path: Path) -> None:
     assert set(volts_at(default_valve(), STROKE_LEVELS)) <= set(read_profile(profile).volts)
 
 
+@pytest.mark.long
 @pytest.mark.any_distribution
 def test_a_loggers_table_is_identified_by_its_map(ros: None, tmp_path: Path) -> None:
     trace = read_trace(BAGS / "one_opening.mcap")

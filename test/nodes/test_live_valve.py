@@ -40,7 +40,7 @@ def test_time_goes_by_the_scale_without_a_jump() -> None:
     assert line.stamp(START + 3 * NANOSECONDS) == 5 + 3 * NANOSECONDS
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1])
 def test_commands_act_at_their_own_time_however_time_is_cut(seed: int) -> None:
     generator = np.random.default_rng(seed)
     live, cuts = started(), np.sort(generator.uniform(0.0, 60.0, 100))
@@ -89,8 +89,7 @@ def test_no_phase_is_left_out_by_a_slow_rate() -> None:
     assert live.strokes == 1
 
 
-@pytest.mark.parametrize("delay", [0.0, 1e-3])
-@pytest.mark.parametrize("cutoff", [math.inf, 400.0])
+@pytest.mark.parametrize(("delay", "cutoff"), [(0.0, math.inf), (1e-3, 400.0)])
 def test_parameters_change_without_a_jump_in_state(delay: float, cutoff: float) -> None:
     valve = dataclasses.replace(
         default_valve(), effects={"sensor_delay": {"delay": delay}, "sensor_bandwidth": {"cutoff_frequency": cutoff}}
@@ -186,7 +185,7 @@ def test_what_switches_the_coil_off_without_a_command_is_said_once() -> None:
     assert live.withdrawn == 0.0
 
 
-@pytest.mark.parametrize("shift", [3_600 * NANOSECONDS, -3_600 * NANOSECONDS, 5 * MILLISECOND, -5 * MILLISECOND])
+@pytest.mark.parametrize("shift", [3_600 * NANOSECONDS, -5 * MILLISECOND])
 def test_stamps_follow_a_clock_that_was_set_and_the_valve_does_not_notice(shift: int) -> None:
     live, other = started(command_timeout=0.05), started(command_timeout=0.05)
     for each in (live, other):
@@ -287,9 +286,9 @@ def test_a_pressure_that_no_tank_has_is_ignored(pressure: float) -> None:
     assert (live.pressure("inlet_pressure"), live.pressure("demand_pressure")) == (60e6, 2e6)
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.01])
 @pytest.mark.parametrize(
-    ("name", "heard", "declared"), [("demand_pressure", 5e6, 2e6), ("inlet_pressure", 0.2e6, 50e6)]
+    ("name", "heard", "declared", "delay"),
+    [("demand_pressure", 5e6, 2e6, 0.0), ("inlet_pressure", 0.2e6, 50e6, 0.01)],
 )
 def test_a_pressure_is_followed_through_a_reset_until_another_is_declared(
     name: str, heard: float, declared: float, delay: float

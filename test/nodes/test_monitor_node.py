@@ -136,7 +136,7 @@ def test_friction_that_appears_in_a_real_valve_is_warned_of_and_named(probe: Pro
 @pytest.mark.any_distribution
 def test_what_commissioning_found_survives_a_restart_until_it_is_asked_for_anew(probe: Probe, tmp_path: Path) -> None:
     state = tmp_path / "kept" / "tank.json"
-    plant = PlantOnTopics(probe, LiveValve(seed=5, rate=1e3, jitter=0.0))
+    plant = PlantOnTopics(probe, LiveValve(seed=5, rate=500.0, jitter=0.0))
     numbers = probe.hear("/monitor/stroke_diagnostics", DiagnosticArray)
     given = {"measured": "measured/joint_states", "use_sim_time": True, "max_rate": 1e5, "state": state, **EXACT}
     with monitoring(tmp_path, **given) as process:
@@ -189,6 +189,7 @@ def test_a_stuck_valve_is_an_error(valve: None, probe: Probe, tmp_path: Path) ->
     assert probe.set_parameters(valve__seat_load=own)[0].successful
 
 
+@pytest.mark.long
 @pytest.mark.any_distribution
 def test_with_the_topic_of_the_coil_a_valve_is_watched_by_its_current_alone(
     valve: None, probe: Probe, tmp_path: Path
@@ -205,10 +206,21 @@ def test_with_the_topic_of_the_coil_a_valve_is_watched_by_its_current_alone(
 
 
 @pytest.mark.any_distribution
-def test_bad_samples_are_counted_and_harm_nothing(probe: Probe, tmp_path: Path) -> None:
+def test_bad_samples_are_counted_and_those_of_an_old_recording_warned_of(probe: Probe, tmp_path: Path) -> None:
     ears = Ears(probe)
     samples = probe.talker("measured/joint_states", JointState)
-    with monitoring(tmp_path, measured="measured/joint_states"):
+    old = 1_709_390_268
+
+    def play() -> bool:
+        """As `ros2 bag play` does without --clock."""
+        message = joints(["pilot_plunger"], [0.0])
+        message.header.stamp.sec = old
+        samples.publish(message)
+        ears.voltage.publish(Float64(data=9.0))
+        probe.spin_for(0.01)
+        return ears.is_said("input", 1, "/valve/measured/joint_states is stamped")
+
+    with monitoring(tmp_path, measured="measured/joint_states") as process:
         assert probe.until(lambda: samples.get_subscription_count() == 1)
         # The monitor takes sensors of any reliability: what comes before it has found this publisher is lost.
         assert probe.insist(
@@ -222,24 +234,6 @@ def test_bad_samples_are_counted_and_harm_nothing(probe: Probe, tmp_path: Path) 
         samples.publish(joints(["main_plunger", "pilot_plunger"], [0.0, 1e-6]))
         assert probe.until(lambda: sum(ears.input_counts()) == heard + 4), "a message was not counted"
         assert ears.input_counts() == (heard + 1, 3)
-
-
-@pytest.mark.any_distribution
-def test_samples_of_an_old_recording_beside_commands_of_now_are_warned_of(probe: Probe, tmp_path: Path) -> None:
-    """As `ros2 bag play` sends them without --clock."""
-    ears = Ears(probe)
-    samples = probe.talker("measured/joint_states", JointState)
-    old = 1_709_390_268
-
-    def play() -> bool:
-        message = JointState(name=["pilot_plunger"], position=[0.0])
-        message.header.stamp.sec, message.header.stamp.nanosec = old, time.monotonic_ns() % 1_000_000_000
-        samples.publish(message)
-        ears.voltage.publish(Float64(data=9.0))
-        probe.spin_for(0.01)
-        return ears.is_said("input", 1, "/valve/measured/joint_states is stamped")
-
-    with monitoring(tmp_path, measured="measured/joint_states") as process:
         assert probe.until(play)
         assert ears.is_said("input", 1, f"stamped {(time.time() - old) / 86_400:.0f} days behind this node's clock")
         said = ended(process, signal.SIGINT)

@@ -25,7 +25,7 @@ MILLISECOND = 1_000_000
 SECOND = 1_000_000_000
 
 
-@pytest.mark.parametrize("rate", [1.0, 300.0, 999.9, 1000.0, 7919.0])
+@pytest.mark.parametrize("rate", [1.0, 999.9, 7919.0])
 def test_every_deadline_is_handed_out_once_and_none_drifts(rate: float) -> None:
     generator = np.random.default_rng(1)
     schedule, now, times = Schedule(rate, 17), 17, []

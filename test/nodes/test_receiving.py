@@ -19,9 +19,10 @@ from nodes.ros import (
     UInt8,
     rclpy,
 )
+from valve_sim.nodes import receiving
 from valve_sim.nodes.node_clock import NodeClock
 from valve_sim.nodes.realtime import Arrival
-from valve_sim.nodes.receiving import MOST_STORED, Inbox
+from valve_sim.nodes.receiving import Inbox
 
 from .ros_process import ENDS_WITHIN, Probe
 
@@ -181,13 +182,16 @@ def test_earlier_topics_are_taken_before_later_ones_and_messages_can_be_forgotte
     assert 3.5 not in node.heard
 
 
-def test_what_nobody_takes_is_bounded(probe: Probe, hearing: Callable[..., Hearing]) -> None:
+def test_what_nobody_takes_is_bounded(
+    probe: Probe, hearing: Callable[..., Hearing], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(receiving, "MOST_STORED", 100)
     node = hearing(simulated=True, spinning=False)
     source = node.inbox.subscribe(Float64, "~/volts", node.take, RELIABLE)
-    for number in range(MOST_STORED + 5):
+    for number in range(105):
         source.subscription.callback(Float64(data=float(number)), {"received_timestamp": 1})
     assert node.inbox.deliver()
-    assert (node.heard[0], node.heard[-1], len(node.heard)) == (5.0, MOST_STORED + 4.0, MOST_STORED)
+    assert (node.heard[0], node.heard[-1], len(node.heard)) == (5.0, 104.0, 100)
 
 
 def test_a_publisher_that_cannot_be_heard_is_counted(probe: Probe, hearing: Callable[..., Hearing]) -> None:
@@ -199,6 +203,7 @@ def test_a_publisher_that_cannot_be_heard_is_counted(probe: Probe, hearing: Call
     assert probe.until(lambda: source.incompatible_publishers == 1)
 
 
+@pytest.mark.long
 def test_a_publisher_of_another_type_is_warned_of_once(
     probe: Probe, hearing: Callable[..., Hearing], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import signal
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -104,6 +105,7 @@ def test_each_valve_is_opened_in_its_turn_and_closed_again(station: list[Tank], 
         assert tank.is_without_voltage()
 
 
+@pytest.mark.long
 def test_a_valve_that_sticks_closes_all_and_is_named(station: list[Tank], tmp_path: Path) -> None:
     first, stuck, last = station
     before = [tank.openings() for tank in station]
@@ -118,6 +120,7 @@ def test_a_valve_that_sticks_closes_all_and_is_named(station: list[Tank], tmp_pa
     assert [tank.openings() for tank in (stuck, last)] == before[1:], "it went on, or the valve did open"
 
 
+@pytest.mark.long
 def test_a_valve_that_does_not_stay_open_closes_all_and_is_named(station: list[Tank], tmp_path: Path) -> None:
     with sequencing(tmp_path, hold=1000.0, timeout=PATIENCE) as process:
         last = station[-1]
@@ -133,6 +136,7 @@ def test_a_valve_that_does_not_stay_open_closes_all_and_is_named(station: list[T
     assert all(tank.is_without_voltage() for tank in station)
 
 
+@pytest.mark.long
 def test_a_valve_that_is_missing_is_named_before_any_is_opened(station: list[Tank], tmp_path: Path) -> None:
     commands = station[0].probe.hear("coil_voltage", Float64)
     before = [tank.openings() for tank in station]
@@ -141,3 +145,14 @@ def test_a_valve_that_is_missing_is_named_before_any_is_opened(station: list[Tan
     assert [tank.openings() for tank in station] == before
     assert station[0].is_without_voltage()
     assert {message.data for message in commands} <= {0.0}, "nothing is commanded but 0 V in the end"
+
+
+def test_a_signal_closes_all_and_is_named(station: list[Tank], tmp_path: Path) -> None:
+    with sequencing(tmp_path, hold=1000.0, timeout=PATIENCE) as process:
+        assert process.stderr is not None
+        said = list(until_said(process.stderr, "tank_3/valve is open"))
+        process.send_signal(signal.SIGTERM)
+        _, words = process.communicate(timeout=ENDS_WITHIN)
+    assert process.returncode == 1
+    assert "sequencer: interrupted; all valves are commanded closed" in ("".join(said) + words).splitlines()
+    assert all(tank.is_without_voltage() for tank in station)

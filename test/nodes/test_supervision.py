@@ -22,6 +22,7 @@ pytestmark = pytest.mark.ros
 ROOT = Path(__file__).parents[2]
 
 
+@pytest.mark.long
 def test_a_valve_that_was_killed_while_open_comes_back_closed_and_without_voltage(probe: Probe, tmp_path: Path) -> None:
     is_open = probe.hear("is_open", Bool, latched=True)
     voltage = probe.talker("coil_voltage", Float64)

@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
+import itertools
 import random
+import re
 import sqlite3
 import subprocess
 import sys
+from collections.abc import Iterator
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
 import pytest
 
 from valve_sim.model import ValveError
-from valve_sim.records.archive import Archive, Row
+from valve_sim.records.archive import COLUMNS, Archive, Row
 
 START = datetime(2026, 11, 29, 12, 0, tzinfo=timezone.utc)
 VALVE = "/tank_1/valve"
 
 
 def stroke(number: int, at: datetime, valve: str = VALVE) -> Row:
-    return Row.checked("strokes", valve, at, {"number": number, "t1": 5.3e-3, "cause": "none"})
+    return Row("strokes", valve, at, {"number": number, "t1": 5.3e-3, "cause": "none"})
 
 
 def written(folder: Path, count: int, step: timedelta) -> Archive:
@@ -97,30 +100,6 @@ def test_rows_that_cannot_be_written_are_not_written_in_part(tmp_path: Path) -> 
     assert numbers(archive) == [0]
 
 
-@pytest.mark.parametrize(
-    ("kind", "values", "words"),
-    [
-        ("strokes", {"t3": 1.0}, "t3: found 1.0, expected no such column"),
-        ("strokes", {"t1": "soon"}, "t1: found 'soon', expected a number"),
-        ("strokes", {"number": 2**63}, "expected an integer of 64 bits"),
-        ("strokes", {"number": 1.5}, "expected an integer of 64 bits"),
-        ("alarms", {"message": ["a"]}, "expected a text"),
-    ],
-)
-def test_a_value_that_a_column_cannot_hold_is_refused(kind: str, values: dict[str, object], words: str) -> None:
-    with pytest.raises(ValveError) as error:
-        Row.checked(kind, VALVE, START, values)  # type: ignore[arg-type]
-    assert words in str(error.value)
-
-
-def test_values_that_mean_nothing_are_null(tmp_path: Path) -> None:
-    archive = Archive(tmp_path, is_written=True)
-    values = {"t1": float("nan"), "t2": float("inf"), "residual": 1, "cause": "a\ud800"}
-    archive.write([Row.checked("strokes", VALVE, START, values)])
-    (found,) = archive.read("strokes", VALVE)
-    assert (found["t1"], found["t2"], found["residual"], found["cause"]) == (None, None, 1.0, "a?")
-
-
 def test_it_stays_within_its_years_and_bytes(tmp_path: Path) -> None:
     archive = written(tmp_path, 36 * 200, timedelta(days=31) / 200)
     for wrong in (datetime(1970, 1, 1, tzinfo=timezone.utc), datetime(2106, 1, 1, tzinfo=timezone.utc)):
@@ -132,6 +111,22 @@ def test_it_stays_within_its_years_and_bytes(tmp_path: Path) -> None:
     assert archive.prune(years=1.0, most_bytes=size // 2) and archive.size() <= size // 2
     archive.prune(years=1.0, most_bytes=0)
     assert numbers(archive) == [-1], "the last month stays"
+
+
+def test_a_stroke_takes_the_bytes_that_the_page_says(tmp_path: Path) -> None:
+    archive, values = Archive(tmp_path, is_written=True), random_values()
+    archive.write(Row("strokes", VALVE, START + timedelta(seconds=36 * n), next(values)) for n in range(3000))
+    page = Path(__file__).parents[2] / "docs" / "how_to" / "archive.md"
+    (said,) = re.findall(r"A stroke takes (\d+) bytes", page.read_text(encoding="utf-8"))
+    assert archive.size() / 3000 == pytest.approx(float(said), rel=0.05)
+
+
+def random_values() -> Iterator[dict[str, object]]:
+    """Strokes of which every figure is known."""
+    source = random.Random(1)
+    for number in itertools.count():
+        known: dict[str, object] = {name: source.random() for name, of in COLUMNS["strokes"].items() if of == "REAL"}
+        yield {**known, "number": number, "cause": "coulomb_friction", "state": "watching"}
 
 
 def test_a_file_that_is_missing_or_damaged_is_named(tmp_path: Path) -> None:

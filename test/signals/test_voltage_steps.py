@@ -94,6 +94,19 @@ def test_what_a_probe_shows_of_0_v_is_taken_off_all_levels() -> None:
     assert find_steps(*voltage(noise=0.01)).offset == 0.0
 
 
+@pytest.mark.parametrize("drop", [-0.7, -1.2])
+def test_the_voltage_of_a_freewheeling_diode_is_no_command(drop: float) -> None:
+    times, volts = voltage(noise=0.01)
+    freewheels = (times > 0.0805) & (times < 0.0835)
+    steps = find_steps(times, np.where(freewheels, drop, volts))
+    np.testing.assert_allclose(steps.times, np.array(TRUTH)[:, 0], atol=26e-6)
+    np.testing.assert_allclose(steps.volts, np.array(TRUTH)[:, 1], atol=5e-3)
+    assert steps.freewheeled == 1
+    # A coil that is driven the other way, to let go at once, is commanded to be.
+    reversed_volts = find_steps(times, np.where(freewheels, -3.0, volts)).volts
+    np.testing.assert_allclose(reversed_volts[-2:], [-3.0, 0.0], atol=5e-3)
+
+
 def test_rows_that_hold_the_command_date_it_between_two_of_them() -> None:
     steps = held_steps(np.array([0.0, 1.0, 2.0, 4.0, 5.0]), np.array([0.0, 0.0, 9.0, 9.0, 0.0]))
     np.testing.assert_array_equal(steps.times, [0.0, 1.5, 4.5])

@@ -33,6 +33,7 @@ Answer = list[int] | int
 Ask = Callable[[int, int, int, Sequence[int]], Answer]
 """Sends a request: function, first address, count, values to be written."""
 WATCHDOG = 0.5
+BEAT = struct.pack(">BHHB2H", 16, 0, 2, 4, 9, 0)
 
 
 class Served:
@@ -239,6 +240,13 @@ def test_a_refused_request_is_answered_by_its_exception_and_changes_nothing(cont
     assert station.read(1.1) == before
 
 
+def test_an_answer_is_what_the_specification_says_to_the_byte() -> None:
+    server = PlcServer(PlcStation(("tank_1",), WATCHDOG), "127.0.0.1", 0, clock=lambda: 1.0)
+    assert server.answer(BEAT) == BEAT[:5]
+    assert server.answer(struct.pack(">BHH", 6, 0, 7)) == struct.pack(">BHH", 6, 0, 7)
+    assert server.answer(struct.pack(">BHH", 4, 0, 2)) == struct.pack(">BB2H", 4, 4, 7, 0)
+
+
 @CLIENTS
 def test_a_plc_that_falls_silent_is_seen_by_the_clock_alone(
     served: Served, make: Callable[[int], tuple[Ask, Callable[[], None]]]
@@ -265,9 +273,6 @@ def test_a_plc_that_falls_silent_is_seen_by_the_clock_alone(
 
 def frame(number: int, body: bytes, length: int | None = None, protocol: int = 0) -> bytes:
     return struct.pack(">HHHB", number, protocol, len(body) + 1 if length is None else length, 1) + body
-
-
-BEAT = struct.pack(">BHHB2H", 16, 0, 2, 4, 9, 0)
 
 
 def test_broken_frames_and_floods_change_nothing_and_leave_the_server_serving(served: Served) -> None:

@@ -18,6 +18,7 @@ from nodes.ros_process import free_port
 from station.clients import CLIENT_URI, Identity, Noted, Served, connected, place
 
 from asyncua import ua  # isort: skip
+from asyncua.client.ua_client import UaClient
 
 from valve_sim.station.alarms import load_alarms
 from valve_sim.station.figures import FIGURES
@@ -120,6 +121,22 @@ def test_a_client_connects_once_its_certificate_is_trusted(served: Served, tmp_p
             await connected(served.endpoint, stranger)
 
     asyncio.run(try_all())
+
+
+def test_a_stranger_who_leaves_its_certificate_out_of_the_session_is_refused(
+    served: Served, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    create = UaClient.create_session
+
+    async def without_certificate(self: UaClient, parameters: ua.CreateSessionParameters) -> object:
+        parameters.ClientCertificate = None
+        return await create(self, parameters)
+
+    monkeypatch.setattr(UaClient, "create_session", without_certificate)
+    friend = Identity(tmp_path / "friend").trusted_by(served.folder, "friend")
+    for identity in (Identity(tmp_path / "stranger"), friend):  # the folder has changed since it was read last
+        with pytest.raises(ua.uaerrors.BadUserAccessDenied):
+            asyncio.run(connected(served.endpoint, identity))
 
 
 def test_a_certificate_that_is_out_of_date_is_refused(served: Served, tmp_path: Path) -> None:

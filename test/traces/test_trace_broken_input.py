@@ -555,6 +555,20 @@ def test_clock_that_was_set_keeps_the_longest_stretch_with_its_commands(jump: in
     np.testing.assert_allclose(trace.drive.times - truth.drive.times, lead, atol=1e-8)
 
 
+@pytest.mark.parametrize("begin", [5, 2000])
+def test_a_recorder_that_stalls_is_no_clock_that_was_set(begin: int, tmp_path: Path) -> None:
+    """Its last messages before it are noted 150 ms late, those of these 150 ms are lost."""
+    samples, end = samples_of(good_messages(duration=0.5)), begin + 1500
+    messages = [
+        message._replace(time=samples[end].time - end + number) if begin - 5 <= number < begin else message
+        for number, message in enumerate(samples)
+        if not begin <= number < end
+    ]
+    trace = read_trace(make_mcap(tmp_path / "a.mcap", sorted([*only_commands(), *messages], key=lambda m: m.time)))
+    assert not [finding for finding in trace.findings if "was set" in finding]
+    assert len(trace.times) == 3500
+
+
 def test_model_time_beside_wall_time_is_aligned(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     messages = only_commands()

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from valve_sim.files.parameter_files import default_valve
+from valve_sim.files.recording_map import load_map
 from valve_sim.model import Drive, ValveParameters
-from valve_sim.traces import Signal, Trace, TraceError, another_valve, doubtful_units, refuse_doubtful_units
+from valve_sim.traces import Signal, Trace, TraceError, another_valve, doubtful_units, read_trace, refuse_doubtful_units
 
 from .bag_makers import clean_trace
 
@@ -45,6 +47,12 @@ def trace(position: float = 1.0, offset: float = 0.0, volts: float = 1.0, ampere
         (trace(position=1e6), r"topic /lvdt: .* unit: um$"),
         (trace(position=1e-3), r"topic /lvdt: .* about 1000 times too small"),
         (trace(offset=0.0125), r"topic /lvdt: .* lies at 0\.01\d+ m, expected 0 m .* offset: \(here -0\.0125"),
+        (replace(trace(position=1e3), units={"position": "mm"}), r"as if um were taken for mm; .* unit: um$"),
+        (replace(trace(position=1e-3), units={"position": "um"}), r"as if mm were taken for um; .* unit: mm$"),
+        (
+            trace(volts=0.1, amperes=10.0),
+            r"topic /supply and topic /clamp: .* 0\.9 V and the current 9 A, .* are exchanged; name each by",
+        ),
         (table(1e3), r"time: .* takes \d[.\d]* s from the gap to the stop .* another unit of time"),
         (table(1e-3), r"time: .* takes \de-06 s|time: .* takes \d\.\d+e-06 s"),
         (trace(volts=1e3), r"topic /supply: .* reaches 9000 V, expected about 9 V .* unit: mV$"),
@@ -75,6 +83,16 @@ def test_other_units_are_refused_with_the_mend(made: Trace, expected: str) -> No
 )
 def test_what_a_valve_can_have_is_read(made: Trace) -> None:
     assert doubtful_units(made, VALVE) == ()
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_an_inverted_position_is_said(sign: float, tmp_path: Path) -> None:
+    made = clean_trace()
+    rows = np.column_stack([made.times, made.drive.at(made.times), sign * made.pilot_position])
+    np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header="t,u,x", comments="", fmt="%.9g")
+    (tmp_path / "map.yaml").write_text("time: t\ncommand: u\nposition: x\n")
+    found = read_trace(tmp_path / "a.csv", None, load_map(tmp_path / "map.yaml")).findings
+    assert any("it may be inverted; correct it with --map and sign: -1" in line for line in found) == (sign < 0.0)
 
 
 def test_a_voltage_behind_a_divider_of_ten_that_opened_a_valve_is_refused() -> None:

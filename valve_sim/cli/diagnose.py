@@ -20,7 +20,15 @@ from valve_sim.cli.options import (
     valve_option,
 )
 from valve_sim.cli.printing import print_report, progress_bar, provenance
-from valve_sim.cli.reading import chosen_params, declared_valve, is_own, read_plant, read_recordings, typed_options
+from valve_sim.cli.reading import (
+    chosen_params,
+    declared_valve,
+    is_own,
+    read_plant,
+    read_recordings,
+    recorded_name,
+    typed_options,
+)
 
 
 @click.command(cls=Command)
@@ -92,7 +100,7 @@ def diagnose(
         machine, other = read_plant(plant, bags), read_plant(plant, holdout) if holdout else None
         work = partial(diagnose_plant, machine, other)
     else:
-        valve = declared_valve(params)
+        valve = declared_valve(params, recorded_name(bags, name) if params else None)
         traces, held_out = read_recordings(bags, name, valve), read_recordings(holdout, name, valve)
         work = partial(diagnose_valve, traces, held_out, valve)
     with progress_bar() as progress:

@@ -18,7 +18,7 @@ from valve_sim.cli.options import (
     valve_option,
 )
 from valve_sim.cli.printing import print_report, progress_bar, provenance, refuse
-from valve_sim.cli.reading import chosen_params, declared_valve, is_own, read_plant, read_recordings
+from valve_sim.cli.reading import chosen_params, declared_valve, is_own, read_plant, read_recordings, recorded_name
 
 
 @click.command(cls=Command)
@@ -78,7 +78,7 @@ def identify(
     if plant is not None and is_own(plant):
         work = partial(identify_plant, read_plant(plant, bags), names)
     else:
-        valve = declared_valve(params)
+        valve = declared_valve(params, recorded_name(bags, name) if params else None)
         work = partial(identify_valve, read_recordings(bags, name, valve), valve, names)
     with progress_bar() as progress:
         result = work(progress)

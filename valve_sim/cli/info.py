@@ -50,14 +50,14 @@ def info(*, bags: tuple[Path, ...], name: str | None, params: Path | None, with_
     """
     from valve_sim.traces import another_valve, describe, doubtful_units, events_from_sensors, read_trace
 
-    parameters, recording_map = declared_parameters(params), chosen_map()
-    valves = []
+    valves, recording_map = [], chosen_map()
     places = [(bag, valve) for bag in bags for valve in _valves_of(bag, name, recording_map)]
     for bag, valve in places:
+        parameters = declared_parameters(params, valve)
         trace = read_trace(bag, valve, recording_map)
         doubts = (*doubtful_units(trace, parameters), *another_valve(trace, parameters))
         trace = dataclasses.replace(trace, findings=(*trace.findings, *doubts))
-        state = _state(trace, params) if with_state else None
+        state = _state(trace, params, valve) if with_state else None
         valves.append((describe(trace), events_from_sensors(trace, parameters.pilot_gap), state))
     if as_json:
         print_json({"valves": [_as_json(*valve) for valve in valves]})
@@ -75,10 +75,10 @@ def _valves_of(bag: Path, name: str | None, recording_map: RecordingMap | None) 
     return (name,) if name else list_valves(bag, recording_map) or (None,)
 
 
-def _state(trace: Trace, params: Path | None) -> RecordingState:
+def _state(trace: Trace, params: Path | None, name: str | None) -> RecordingState:
     from valve_sim.identification.diagnosis.recording_state import state_of_recording
 
-    valve = declared_valve(params)
+    valve = declared_valve(params, name)
     with progress_bar() as progress:
         return state_of_recording(trace, valve, progress)
 

@@ -20,18 +20,26 @@ if TYPE_CHECKING:
     from valve_sim.traces import Trace
 
 
-def declared_valve(params: Path | None) -> Valve:
-    """The valve of a parameter file, or the shipped one."""
-    from valve_sim.files.parameter_files import default_valve, load_valve
+def declared_valve(params: Path | None, recorded: str | None = None) -> Valve:
+    """The valve of a parameter file, for a recording of the valve of this name; or the shipped one."""
+    from valve_sim.files.parameter_files import default_valve, load_recorded_valve
 
-    return default_valve() if params is None else load_valve(params)
+    return default_valve() if params is None else load_recorded_valve(params, recorded)
 
 
-def declared_parameters(params: Path | None) -> ValveParameters:
+def recorded_name(bags: Sequence[Path], name: str | None) -> str | None:
+    """The name of the valve in recordings, as it was chosen or as the only one that the first holds."""
+    from valve_sim.traces import list_valves
+
+    valves = [name] if name or not bags else list_valves(bags[0], chosen_map())
+    return valves[0] if len(valves) == 1 else None
+
+
+def declared_parameters(params: Path | None, recorded: str | None = None) -> ValveParameters:
     """The declared parameters alone of a parameter file, or of the shipped one, which needs no compiled code."""
     from valve_sim.files.parameter_sections import default_parameters
 
-    return default_parameters() if params is None else declared_valve(params).parameters
+    return default_parameters() if params is None else declared_valve(params, recorded).parameters
 
 
 def chosen_map_file() -> Path | None:

@@ -19,7 +19,7 @@ from valve_sim.cli.options import (
     valve_option,
 )
 from valve_sim.cli.printing import print_report, progress_bar, refuse, shown
-from valve_sim.cli.reading import chosen_params, declared_valve, is_own, read_plant, read_recordings
+from valve_sim.cli.reading import chosen_params, declared_valve, is_own, read_plant, read_recordings, recorded_name
 
 Decorated = TypeVar("Decorated", bound=Callable[..., object])
 OUTSIDE: Final = 1
@@ -115,7 +115,7 @@ def validate(
     if plant is not None and is_own(plant):
         result = validate_plant(read_plant(plant, bags), tolerance)
     else:
-        valve = declared_valve(params)
+        valve = declared_valve(params, recorded_name(bags, name) if params else None)
         traces = read_recordings(bags, name, valve)
         with progress_bar() as progress:
             result = replay(

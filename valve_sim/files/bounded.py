@@ -3,8 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Final
 
 from valve_sim.model.errors import ValveError
+
+LARGEST_TEXT: Final = 2_000_000_000
+LONGEST_LINE: Final = 1_000_000
+"""Bytes of a table in text and of one of its lines."""
+MOST_EXPANDED: Final = 200
+SMALL: Final = 1 << 26
+"""A packed file unpacks to so many times its size and so many bytes at most: recordings are packed to a tenth."""
+_PIECE: Final = 1 << 18
 
 
 def check_file(path: Path, most: int, refusal: type[ValveError]) -> None:
@@ -18,3 +27,41 @@ def check_file(path: Path, most: int, refusal: type[ValveError]) -> None:
     size = path.stat().st_size
     if size > most:
         raise refusal(f"{path}: is {size / 1e6:.6g} MB large, expected at most {most / 1e6:.6g} MB; cut it")
+
+
+def check_expanded(path: Path, size: float, refusal: type[ValveError]) -> None:
+    """Refuse a packed file that says that it holds so many bytes, if that is more than any measurement packs to."""
+    most = MOST_EXPANDED * path.stat().st_size + SMALL
+    if size > most:
+        raise refusal(
+            f"{path}: unpacks to {size / 1e6:.6g} MB, expected at most {most / 1e6:.6g} MB; export the measured columns"
+        )
+
+
+def table_text(path: Path, refusal: type[ValveError]) -> str:
+    """The text of a table: UTF-8, UTF-16 by its mark or its zeros; else Latin-1, in which loggers write µ and °.
+
+    Raises:
+        OSError: It cannot be read. ValveError: It, or one of its lines, is too long.
+    """
+    check_file(path, LARGEST_TEXT, refusal)
+    longest = 0
+    with path.open("rb") as stream:
+        while piece := stream.read(_PIECE):
+            end = piece.rfind(b"\n")
+            longest = longest + len(piece) if end < 0 else len(piece) - end
+            if longest > LONGEST_LINE:
+                raise refusal(
+                    f"{path}: has a line of more than {LONGEST_LINE} bytes, expected the rows of a table; export it as "
+                    "text, one row a line"
+                )
+    data = path.read_bytes()
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return data.decode("utf-16", "replace")
+    for first, encoding in ((1, "utf-16-le"), (0, "utf-16-be")):
+        if 2 * data[first:400:2].count(0) > len(data[first:400:2]):
+            return data.decode(encoding, "replace")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")

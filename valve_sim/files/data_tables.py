@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -9,9 +10,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from valve_sim.files.bounded import LARGEST_TEXT, check_expanded, check_file
 from valve_sim.files.recording_map import TimeAxis
 from valve_sim.files.tables import TableError
-from valve_sim.files.text_tables import TextFile, number_in
+from valve_sim.files.text_tables import MOST_COLUMNS, TextFile, number_in
+from valve_sim.model.errors import ValveError
 
 Array = NDArray[np.float64]
 
@@ -117,6 +120,7 @@ def open_table(path: Path) -> DataTable:
     """
     suffix = path.suffix.lower()
     try:
+        check_file(path, LARGEST_TEXT, TableError)
         if suffix in PARQUET_SUFFIXES:
             return _open_parquet(path)
         return _open_mat(path) if suffix == ".mat" else TextTable(path)
@@ -185,6 +189,10 @@ def _open_parquet(path: Path) -> DataTable:
             f"{path}: Parquet files need pyarrow, which is not installed; pip install pyarrow, or export it as CSV"
         ) from error
     try:
+        about = pyarrow.parquet.ParquetFile(path).metadata
+        if about.num_columns > MOST_COLUMNS:
+            raise TableError(f"{path}: has {about.num_columns} columns, expected at most {MOST_COLUMNS}; export fewer")
+        check_expanded(path, 8.0 * about.num_rows * about.num_columns, TableError)
         table = pyarrow.parquet.read_table(path)
     except ArrowException as error:
         raise TableError(
@@ -194,14 +202,16 @@ def _open_parquet(path: Path) -> DataTable:
 
 
 def _open_mat(path: Path) -> DataTable:
-    from scipy.io import loadmat
-    from scipy.io.matlab import MatReadError
+    from scipy.io import loadmat, whosmat
 
     try:
+        check_expanded(path, 8.0 * sum(math.prod(shape) for _, shape, _ in whosmat(str(path))), TableError)
         found = loadmat(str(path), squeeze_me=True, struct_as_record=False)
     except NotImplementedError as error:
         raise TableError(f"{path}: is a MATLAB 7.3 file, which is not read; save it with: save(file, '-v7')") from error
-    except (MatReadError, ValueError, TypeError) as error:
+    except ValveError:
+        raise
+    except Exception as error:  # SciPy raises what it stumbles over
         raise TableError(
             f"{path}: is not a MATLAB file ({' '.join(str(error).split())[:120]}); save it again"
         ) from error

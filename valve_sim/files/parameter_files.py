@@ -28,7 +28,7 @@ import difflib
 import functools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import yaml
 
@@ -48,6 +48,16 @@ from valve_sim.model import CATALOGUE, Effect, Parameter, ParameterError, Valve,
 from valve_sim.model.gas import GAS, GasParameters
 from valve_sim.model.parameters import closest
 from valve_sim.model.tolerances import COVARIANCE_NAME
+
+ANY_VALVE: Final = "/valve"
+"""The name of a valve that nobody has named."""
+SOFTEST: Final = 10.0
+"""N/m; a softer spring of a solenoid valve would add a hundredth of a newton over a millimetre."""
+OF_ONE_PLUNGER: Final = (
+    "moving_mass", "stroke", "main_damping", "spring_rate", "spring_preload", "attraction_polynomial",
+    "reference_voltage", "coil_resistance", "coil_time_constant",
+)  # fmt: skip
+"""What a valve with one plunger has nothing of in common with the shipped one."""
 
 
 def load_valve(path: Path | str, node: str | None = None) -> Valve:
@@ -74,7 +84,44 @@ def load_valve(path: Path | str, node: str | None = None) -> Valve:
     if len(named) > 1:
         raise ParameterError(f"{path}: describes several valves, {', '.join(named)}; expected one, or a node's name")
     merged = {name: value for section in sections for name, value in section.values.items()}
+    _check_plausible(merged, str(path))
     return valve_from_flat(merged, str(path))
+
+
+def load_recorded_valve(path: Path | str, recorded: str | None) -> Valve:
+    """The valve that a parameter file describes for a recording: what the node of the recorded valve's name would take.
+
+    Args:
+        path: a ROS 2 parameter file.
+        recorded: the valve's name in the recording; None or `/valve`, which is everybody's: the only one described.
+
+    Raises:
+        ParameterError: as `load_valve`, or it describes another valve only.
+    """
+    name = "/" + (recorded or ANY_VALVE).strip("/")
+    sections = [section for section in read_sections(path) if section.is_about_valve]
+    if any(section.applies_to(name) for section in sections):
+        return load_valve(path, name)
+    named = sorted({section.node for section in sections})
+    if named and name != ANY_VALVE:
+        raise ParameterError(f"{path}: describes {', '.join(named)}, expected {name}, which was recorded, or /**")
+    return load_valve(path)
+
+
+def _check_plausible(values: Mapping[str, object], source: str) -> None:
+    """Refuse what passes every range and means something else: a spring in N/mm, a valve that has little of its own."""
+    rate = values.get("valve.spring_rate")
+    if isinstance(rate, int | float) and not isinstance(rate, bool) and 0.0 < rate < SOFTEST:
+        raise ParameterError(
+            f"{source}: valve.spring_rate: found {rate:g} N/m, expected 0 or at least {SOFTEST:g} N/m; "
+            f"{rate:g} N/mm are {1e3 * rate:g} N/m"
+        )
+    missing = [name for name in OF_ONE_PLUNGER if f"valve.{name}" not in values]
+    if values.get("valve.pilot_gap") == 0 and missing:
+        raise ParameterError(
+            f"{source}: valve.pilot_gap: found 0, a valve with one plunger, without valve.{', valve.'.join(missing)}; "
+            "expected them, for the defaults are those of a valve with two (docs/how_to/single_plunger.md)"
+        )
 
 
 def valve_from_flat(values: Mapping[str, object], source: str, base: Valve | None = None) -> Valve:

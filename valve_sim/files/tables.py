@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from valve_sim.files.bounded import table_text
 from valve_sim.model.errors import ValveError
 
 Array = NDArray[np.float64]
@@ -53,11 +54,9 @@ def read_table(path: Path | str, columns: Mapping[str, Sequence[str]], otherwise
 
 def _content(path: Path | str, columns: Mapping[str, Sequence[str]]) -> list[tuple[int, str]]:
     try:
-        text = Path(path).read_text(encoding="utf-8-sig")
+        text = table_text(Path(path), TableError)
     except OSError as error:
         raise TableError(f"{path}: cannot be read ({error.strerror}); expected a CSV file") from error
-    except UnicodeDecodeError as error:
-        raise TableError(f"{path}: is not UTF-8 text; expected a CSV file of {', '.join(columns)}") from error
     lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), start=1)]
     lines = [(number, line) for number, line in lines if line and not line.startswith("#")]
     if not lines:

@@ -14,21 +14,19 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.files.bounded import check_file
+from valve_sim.files.bounded import table_text
 from valve_sim.files.channels import UNITS
 from valve_sim.files.tables import TableError
 
 Array = NDArray[np.float64]
 
-LARGEST_TEXT: Final = 2_000_000_000
-LONGEST_LINE: Final = 1_000_000
 MOST_COLUMNS: Final = 4096
-"""Bytes of a file and of a line, and cells of a line; more is no table of a data logger."""
-_PIECE: Final = 1 << 18
+"""Cells of a line; more is no table of a data logger."""
 _DELIMITERS: Final = (";", "\t", ",", None)
 _COMMENTS: Final = ("#", "%", "//", "!")
 _LONGEST_PREAMBLE: Final = 500
-"""Lines that are searched for the first numbers."""
+_LARGEST_PREAMBLE: Final = 500_000
+"""Lines, and characters, that are searched for the first numbers."""
 _HEADS: Final = 4
 """Lines with names, units and the like, at most, before the numbers."""
 _WHOLE: Final = 3
@@ -72,7 +70,7 @@ class TextFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.lines = _text_of(path).splitlines()
+        self.lines = table_text(path, TableError).splitlines()
         self.layout = _layout(path, self.lines)
 
     def column(self, place: int) -> Array:
@@ -170,31 +168,6 @@ def cells_of(line: str, delimiter: str | None) -> list[str]:
         return [line]
 
 
-def _text_of(path: Path) -> str:
-    """UTF-8, UTF-16 by its mark or its zeros; else Latin-1, in which loggers write µ and °."""
-    check_file(path, LARGEST_TEXT, TableError)
-    longest = 0
-    with path.open("rb") as stream:
-        while piece := stream.read(_PIECE):
-            end = piece.rfind(b"\n")
-            longest = longest + len(piece) if end < 0 else len(piece) - end
-            if longest > LONGEST_LINE:
-                raise TableError(
-                    f"{path}: has a line of more than {LONGEST_LINE} bytes, expected the rows of a table; export it as "
-                    "text, one row a line"
-                )
-    data = path.read_bytes()
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        return data.decode("utf-16", "replace")
-    for first, encoding in ((1, "utf-16-le"), (0, "utf-16-be")):
-        if 2 * data[first:400:2].count(0) > len(data[first:400:2]):
-            return data.decode(encoding, "replace")
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return data.decode("latin-1")
-
-
 def _kind(cell: str) -> str:
     """number, date, word; empty where a cell is."""
     value = number_in(cell)
@@ -204,11 +177,9 @@ def _kind(cell: str) -> str:
 
 
 def _layout(path: Path, lines: Sequence[str]) -> Layout:
-    head = lines[: _LONGEST_PREAMBLE + _WHOLE_WITH_WORDS]
-    parted = {delimiter: [cells_of(line, delimiter) for line in head] for delimiter in _DELIMITERS}
-    most = max((len(row) for rows in parted.values() for row in rows), default=0)
-    if most > MOST_COLUMNS:
-        raise TableError(f"{path}: has {most} columns, expected at most {MOST_COLUMNS}; export those of the valve")
+    ends = np.cumsum([len(line) for line in lines[: _LONGEST_PREAMBLE + _WHOLE_WITH_WORDS]])
+    head = lines[: max(_WHOLE_WITH_WORDS, int(np.searchsorted(ends, _LARGEST_PREAMBLE)))]
+    parted = {delimiter: [_checked(path, cells_of(line, delimiter)) for line in head] for delimiter in _DELIMITERS}
     for with_words in (False, True):
         for delimiter, rows in parted.items():
             start = _first_row(head, rows, with_words=with_words)
@@ -220,6 +191,14 @@ def _layout(path: Path, lines: Sequence[str]) -> Layout:
         f"{path}: no table of numbers in its first {min(len(lines), _LONGEST_PREAMBLE)} lines; "
         "expected rows of at least two numbers, parted by ; , tabs or blanks"
     )
+
+
+def _checked(path: Path, cells: list[str]) -> list[str]:
+    if len(cells) > MOST_COLUMNS:
+        raise TableError(
+            f"{path}: has {len(cells)} columns, expected at most {MOST_COLUMNS}; export those of the valve"
+        )
+    return cells
 
 
 def _first_row(lines: Sequence[str], rows: Sequence[Sequence[str]], *, with_words: bool) -> int | None:

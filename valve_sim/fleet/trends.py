@@ -59,18 +59,11 @@ class Series(NamedTuple):
 
 
 class Drift(NamedTuple):
-    """A trend that was found.
-
-    Attributes:
-        series: in which. slope: per day, with its 95 % interval. p_value: of this series alone.
-        adjusted: after correction for all that was tested; below `FALSE_ALARMS`.
-    """
+    """A trend: its slope per day, the p-value of its series alone, and that after correction for all series."""
 
     valve: str
     series: Series
     slope: float
-    low: float
-    high: float
     p_value: float
     adjusted: float
 
@@ -124,7 +117,7 @@ def drifts(series: Mapping[str, Sequence[Series]]) -> list[Drift]:
     tested = [entry for entry in tested if not math.isnan(entry[2])]
     adjusted = holm([p_value for _, _, p_value in tested])
     found = [
-        Drift(valve, one, *theil_sen(one.days, one.values), p_value, corrected)
+        Drift(valve, one, theil_sen(one.days, one.values), p_value, corrected)
         for (valve, one, p_value), corrected in zip(tested, adjusted, strict=True)
         if corrected < FALSE_ALARMS
     ]
@@ -157,7 +150,7 @@ def _scales(errors: Array | None, count: int) -> Array:
 def _steepness(places: Array, values: Array, scales: Array) -> tuple[float, Array]:
     """The slope by its standard error, and what the line leaves, by its scales and cut where it is far off, (n,)."""
     count = len(values)
-    slope = theil_sen(places, values)[0]
+    slope = theil_sen(places, values)
     left = (values - slope * places - np.median(values - slope * places)) / scales
     scatter = _scatter(left)
     cut = scatter * (FAR_OFF[0] + FAR_OFF[1] / count)
@@ -211,13 +204,12 @@ def _variance_inflation(left: Array) -> float:
     return (1.0 + likeness) / (1.0 - likeness)
 
 
-def theil_sen(days: Array, values: Array) -> tuple[float, float, float]:
-    """Slope per day, and its 95 % interval."""
+def theil_sen(days: Array, values: Array) -> float:
+    """Slope per day: the median over all pairs."""
     if len(values) > MOST_PAIRED:
         chosen = np.linspace(0, len(values) - 1, MOST_PAIRED).astype(np.intp)
         days, values = days[chosen], values[chosen]
-    found = stats.theilslopes(values, days - days[0])
-    return float(found.slope), float(found.low_slope), float(found.high_slope)
+    return float(stats.theilslopes(values, days - days[0]).slope)
 
 
 def holm(p_values: Sequence[float]) -> list[float]:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from valve_sim import __version__
-from valve_sim.files.parameter_files import default_valve, load_valve
+from valve_sim.files.parameter_files import default_valve, load_recorded_valve
 from valve_sim.fleet.columns import columns
 from valve_sim.fleet.sources import Bag
 from valve_sim.model import ParameterError, Valve
@@ -90,7 +90,7 @@ class ParameterChoice:
         """
         path = next((file for pattern, file in self.patterns if fnmatch.fnmatchcase(valve, pattern)), self.default)
         if (path, valve) not in self._loaded:
-            self._loaded[path, valve] = default_valve() if path is None else _load(path, valve)
+            self._loaded[path, valve] = default_valve() if path is None else load_recorded_valve(path, valve)
         return self._loaded[path, valve]
 
     def check(self) -> None:
@@ -102,14 +102,6 @@ class ParameterChoice:
         for path in (self.default, *(file for _, file in self.patterns)):
             if path is not None and not path.is_file():
                 raise ParameterError(f"{path}: no such parameter file; give one that exists")
-
-
-def _load(path: Path, valve: str) -> Valve:
-    """The section of this valve where a file describes several; else what it describes."""
-    try:
-        return load_valve(path, valve)
-    except ParameterError:
-        return load_valve(path)
 
 
 def row_of(bag: Bag, survey: Survey, state: str, **values: Any) -> Row:

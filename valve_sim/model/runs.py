@@ -79,7 +79,6 @@ class Shown(NamedTuple):
         of_positions: (n, k) m over the unit of each parameter. of_currents: (c, k) likewise.
         pressures: (p,) Pa, in the outlet of a valve with gas. of_pressures: (p, k) likewise.
         events: (e, 4) those there was room for: s, number of the kind, m, m/s before it.
-        event_count: how many there were.
     """
 
     positions: Array
@@ -87,7 +86,6 @@ class Shown(NamedTuple):
     of_positions: Array
     of_currents: Array
     events: Array
-    event_count: int
     pressures: Array
     of_pressures: Array
 
@@ -178,7 +176,7 @@ class Run:
                 slopes[:, own], of_seen[..., own] = shown[:, :used], shown_others[..., :used]
         found = int(self._tiles[0].block[layout.COUNT])
         return Shown(
-            positions, seen[at_currents, 0], slopes, of_seen[at_currents, 0], events[: min(found, room)], found,
+            positions, seen[at_currents, 0], slopes, of_seen[at_currents, 0], events[: min(found, room)],
             seen[at_pressures, -1], of_seen[at_pressures, -1],
         )  # fmt: skip
 

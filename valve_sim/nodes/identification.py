@@ -22,7 +22,7 @@ from rclpy.parameter_client import AsyncParameterClient
 from rclpy.task import Future
 from std_msgs.msg import Float64, String
 
-from valve_sim.files.parameter_files import default_valve, load_valve
+from valve_sim.files.parameter_files import default_valve, load_recorded_valve
 from valve_sim.files.parameter_sections import Section, write_sections
 from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.model import ParameterError, Valve
@@ -79,7 +79,8 @@ class IdentificationNode(RosNode[IdentificationSettings]):
         self._folder = _output_folder(self._settings)
         given = self._settings.apply_to
         target = full_name(self._node, given, "apply_to") if given else ""
-        self._declared = load_valve(self._settings.params) if self._settings.params else default_valve()
+        name, params = self._settings.valve_name or None, self._settings.params
+        self._declared = load_recorded_valve(params, name) if params else default_valve()
         self._trace = read_recording(self._settings, self._declared)
         self._voltages = measured_voltages(self._trace)
         self._remote = RemoteParameters(self._node, target) if target else None
@@ -294,12 +295,7 @@ class Change(NamedTuple):
 
 
 class RemoteParameters:
-    """Parameters of a running valve node. The methods block, so they must not be called by the spinning thread.
-
-    Args:
-        node: makes the requests; another thread spins it.
-        name: full name of the valve node.
-    """
+    """Parameters of a running valve node. The methods block, so they must not be called by the spinning thread."""
 
     def __init__(self, node: Node, name: str) -> None:
         self.name = name

@@ -33,11 +33,6 @@ class Timeline:
     """Clock time, ns, to model time, s, and to the stamp of a message, ns.
 
     Model time starts at 0, so that it stays exact to the nanosecond; a stamp adds what ROS time was then.
-
-    Args:
-        clock: clock time at model time 0, ns.
-        stamp: stamp of model time 0, ns.
-        scale: model seconds a second of the clock.
     """
 
     def __init__(self, clock: int, stamp: int, scale: float) -> None:

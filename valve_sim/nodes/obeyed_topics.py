@@ -72,11 +72,7 @@ class ObeyedTopic:
 
 
 class GasTopics:
-    """The topics of a valve with gas.
-
-    Args:
-        node: publishes. inbox: receives. clock: of the node. live: obeys. messages: makes them.
-    """
+    """The topics of a valve with gas."""
 
     def __init__(self, node: Node, inbox: Inbox, clock: NodeClock, live: LiveValve, messages: ReadingMessages) -> None:
         self._live, self._messages = live, messages

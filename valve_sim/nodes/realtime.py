@@ -329,11 +329,7 @@ def when_due(clock: PaceClock, offsets: Sequence[int], is_stopped: Callable[[], 
 
 
 class Decimator:
-    """Which steps are also samples of a slower topic: the first in each of its periods.
-
-    Args:
-        rate: of the slower topic, samples a second of the clock, Hz.
-    """
+    """Which steps are also samples of a slower topic: the first in each of its periods."""
 
     def __init__(self, rate: float) -> None:
         self._period = round(NANOSECONDS / rate)
@@ -346,11 +342,7 @@ class Decimator:
 
 
 class SubscriberCounts:
-    """Which of some topics anyone subscribes to, looked at every 20 ms: what nobody hears need not be published.
-
-    Args:
-        counts: how many subscriptions there are, for each topic.
-    """
+    """Which of some topics anyone subscribes to, looked at every 20 ms: what nobody hears need not be published."""
 
     def __init__(self, *counts: Callable[[], int]) -> None:
         self._counts = counts

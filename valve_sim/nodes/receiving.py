@@ -59,11 +59,7 @@ class Source:
 
 
 class Inbox:
-    """The topics that a node receives.
-
-    Args:
-        node: subscribes. clock: of the node.
-    """
+    """The topics that a node receives."""
 
     def __init__(self, node: Node, clock: NodeClock) -> None:
         self._node, self._clock = node, clock
@@ -194,11 +190,7 @@ def _no_events() -> SubscriptionEventCallbacks:
 
 
 class _PolledGroup(CallbackGroup):
-    """The group of subscriptions that no executor serves while they are polled.
-
-    Args:
-        is_polled: whether they are.
-    """
+    """The group of subscriptions that no executor serves while they are polled."""
 
     def __init__(self, is_polled: Callable[[], bool]) -> None:
         super().__init__()

@@ -46,9 +46,6 @@ class StoppableThread(threading.Thread):
 
     Attributes:
         is_stopping: whether `stop` was called.
-
-    Args:
-        name: of the thread. work: is done once. fail: told what went wrong.
     """
 
     def __init__(self, name: str, work: Callable[[], None], fail: Fail) -> None:
@@ -79,11 +76,7 @@ class StoppableThread(threading.Thread):
 
 
 class Repeating(StoppableThread):
-    """A thread that does something again and again, with pauses.
-
-    Args:
-        name: of the thread. act: is done. pause: s until it is done next. fail: told what went wrong.
-    """
+    """A thread that does something again and again, with pauses."""
 
     def __init__(self, name: str, act: Callable[[], object], pause: Callable[[], float], fail: Fail) -> None:
         super().__init__(name, self._repeat, fail)

@@ -58,10 +58,6 @@ def declared(node: Node, sections: Sequence[tuple[str, Section]], settings: type
     A file that holds nothing for this node is warned about. rclpy passes over a misspelt name without a word;
     `make_node` has declared it.
 
-    Args:
-        node: the one that starts. sections: (file, section) of the parameter files on the command line.
-        settings: of the node.
-
     Raises:
         ParameterError: a parameter is unknown, of the wrong type or out of range.
     """
@@ -182,10 +178,6 @@ class Stops(Protocol):
 class RosNode(Generic[S]):
     """What the nodes of this package have in common: two tables, a clock, what runs beside the node, and its end.
 
-    Args:
-        name: of the node, unless ROS is told another. sections: (file, section) of the parameter files given to it.
-        settings: its parameters. topics: its topics and services.
-
     Raises:
         ParameterError: a parameter is unknown, of the wrong type or out of range.
     """
@@ -253,10 +245,6 @@ class AnsweringThread(StoppableThread):
     """Answers ROS (parameters, topics, /clock) until it is stopped, and shuts ROS down then.
 
     SIGINT and SIGTERM only call `end_work`: a ROS context that they had shut down could not send 0 V any more.
-
-    Args:
-        node: is spun. end_work: called with the reason why the main thread shall end its work.
-        fail: told what went wrong in the thread.
     """
 
     def __init__(self, node: Node, end_work: Callable[[str], None], fail: Fail) -> None:

@@ -17,9 +17,8 @@ from typing import Any, Final, Literal, NamedTuple
 from valve_sim.model.errors import ValveError
 
 Kind = Literal["strokes", "findings", "alarms"]
-Type = Literal["REAL", "INTEGER", "TEXT"]
 
-COLUMNS: Final[dict[Kind, dict[str, Type]]] = {
+COLUMNS: Final[dict[Kind, dict[str, str]]] = {
     "strokes": {
         "number": "INTEGER", "volts": "REAL", "opening_delay": "REAL", "t1": "REAL", "t1_stderr": "REAL",
         "t2": "REAL", "t2_stderr": "REAL", "closing_time": "REAL", "closing_time_stderr": "REAL",
@@ -37,31 +36,17 @@ COLUMNS: Final[dict[Kind, dict[str, Type]]] = {
     },
 }  # fmt: skip
 """Columns of each kind beside `valve` and `time`, in SI."""
-_BEYOND: Final = 2.0**63
-"""Larger numbers have no place in a column of integers, and mean nothing in one of figures."""
-_WORDS: Final[dict[Type | None, str]] = {
-    "REAL": "a number", "INTEGER": "an integer of 64 bits", "TEXT": "a text", None: "no such column",
-}  # fmt: skip
 _AFTER_MONTH: Final = "~"
 """Sorts after each time of a month that it is appended to."""
 
 
 class Row(NamedTuple):
-    """A row that waits for the archive: its kind, the full name of the valve's node, its time, and its values."""
+    """A row that waits for the archive: its kind, the full name of the valve's node, its time, and values by column."""
 
     kind: Kind
     valve: str
     at: datetime
-    values: dict[str, object]
-
-    @classmethod
-    def checked(cls, kind: Kind, valve: str, at: datetime, values: Mapping[str, object]) -> Row:
-        """A row whose values are of their columns' types.
-
-        Raises:
-            ValveError: a value is not, or there is no such column.
-        """
-        return cls(kind, valve, at, {name: _checked(COLUMNS[kind].get(name), name, of) for name, of in values.items()})
+    values: Mapping[str, object]
 
 
 class Archive:
@@ -190,21 +175,6 @@ class Archive:
             raise ValveError(f"{self._path}: cannot be used ({error}); choose another folder, or make room") from error
         except sqlite3.DatabaseError as error:
             raise ValveError(f"{self._path}: is damaged ({error}); restore it, or move it away") from error
-
-
-def _checked(of: Type | None, name: str, value: object) -> object:
-    if value is None:
-        return None
-    if of == "TEXT" and isinstance(value, str):
-        return value.encode("utf-8", "replace").decode()  # half of a surrogate pair cannot be written
-    if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < _BEYOND:
-        if of == "REAL":
-            return float(value)
-        if of == "INTEGER" and isinstance(value, int):
-            return value
-    if of == "REAL" and isinstance(value, float):
-        return None  # NaN or infinite
-    raise ValveError(f"{name}: found {value!r:.60}, expected {_WORDS[of]}")
 
 
 def _text(at: datetime) -> str:

@@ -21,6 +21,8 @@ FEWEST: Final = 7
 """Samples to each side."""
 PLAIN: Final = 10.0
 """Standard errors of a bend that is one."""
+AS_PLAIN: Final = 0.5
+"""Share of the plainest bend's standard errors that an earlier one has, of a contact before it."""
 BETTER: Final = 3.0
 """By this factor a bend must lower the variance of what is left: a smooth curve is no cubic either."""
 EVEN: Final = 0.02
@@ -66,9 +68,11 @@ def _bend(times: Array, values: Array, order: int) -> Bend | None:
     is_even = np.abs(spans / (2 * half * interval) - 1.0) < EVEN
     plainness, gain = _plainness(windows, np.arange(-half, half + 1) / half, order)
     plainness[~is_even | (gain < BETTER)] = 0.0
-    best = int(np.argmax(plainness))
-    if plainness[best] < PLAIN:
+    if plainness.max() < PLAIN:
         return None
+    # A plunger that bounces meets the stop again: the first of those that are about as plain is when it arrived.
+    plain = np.flatnonzero(plainness >= max(PLAIN, AS_PLAIN * float(plainness.max())))
+    best = int(plain[0]) + int(np.argmax(plainness[plain[0] : plain[0] + half]))
     inside = slice(best, best + 2 * half + 1)
     return _refined(times[inside], values[inside], order)
 

@@ -31,6 +31,10 @@ SHORTEST_LEVEL = 3
 """Samples; a shorter rest is part of the transition from one level to the next."""
 SMALLEST_SPAN = 0.05
 """V; a voltage that stays within this was never switched."""
+DIODE = 1.5
+"""V, of a freewheeling diode at most, or of two in a row."""
+OVER_DIODE = 2.0
+"""Times that, which the voltage before exceeds: it was switched on."""
 ZERO_SHARE = 0.03
 """Levels below this share of the highest are 0 V: the rest is the probe's offset."""
 
@@ -66,6 +70,7 @@ class Steps(NamedTuple):
         offset: V, what the probe shows of 0 V; it is taken off the levels.
         are_input: Whether the levels, held from step to step, are what the coil saw. Those of a voltage that goes on
             changing between its steps are not; its samples are then the input.
+        freewheeled: How often the voltage was that of a diode through which the coil's current died away.
     """
 
     times: Array
@@ -74,6 +79,7 @@ class Steps(NamedTuple):
     volt_errors: Array
     offset: float = 0.0
     are_input: bool = True
+    freewheeled: int = 0
 
     def findings(self, name: str) -> list[str]:
         """Return what was made of a measured voltage of this name, one sentence each."""
@@ -87,6 +93,8 @@ class Steps(NamedTuple):
             ]
         else:
             found = [f"{name}: the measured voltage itself is the input, because it changes without a step"]
+        if self.freewheeled:
+            found.append(f"{name}: a diode's voltage after {self.freewheeled} of the steps to 0 V is no command")
         if self.offset:
             found.append(f"{name}: {self.offset:.3g} V at rest were taken for the probe's offset, and off all levels")
         return found
@@ -122,24 +130,39 @@ def find_steps(times: Array, volts: Array) -> Steps:
     which = level_of[at[np.concatenate([[0], places])]]
     edges, time_errors = _dates(times, volts, levels[which], at[places - 1], at[places])
     is_off = np.abs(levels[which]) < ZERO_SHARE * float(np.abs(levels).max())
+    is_diode = _are_of_a_diode(levels[which], is_off)
     means, errors = np.zeros(len(which)), np.zeros(len(which))
     pieces = [volts[rests] for rests in np.split(at, places)]
     held = levels[which][np.searchsorted(at[places], np.arange(len(volts)), side="right")]
     are_input = float(np.sqrt(np.mean(np.square(volts - held)))) <= max(LEVEL_SHARE * span, LEVEL_SIGMAS * sigma)
+    are_input = are_input and not is_diode.any()
     step = _converter_step(pieces, span)
-    for alike in (is_off, ~is_off):  # a supply that is on is noisier than one that is off
+    for alike in (is_off, ~is_off & ~is_diode):  # a supply that is on is noisier than one that is off
         if alike.any():
             means[alike], errors[alike] = _means([pieces[place] for place in np.flatnonzero(alike)], step)
     # What decays to 0 V rests at no level, and so shows no offset.
     offset, offset_error = _offset(means[is_off], errors[is_off]) if are_input else (0.0, 0.0)
+    is_off |= is_diode
+    # Where the current through a diode has died away nothing is commanded.
+    kept = ~(is_off & np.concatenate([[False], is_diode[:-1]]))
     return Steps(
-        np.array([float(times[0]), *edges]),
-        np.where(is_off, 0.0, means - offset),
-        np.array([0.0, *time_errors]),
-        np.where(is_off, 0.0, np.hypot(errors, offset_error)),
+        np.array([float(times[0]), *edges])[kept],
+        np.where(is_off, 0.0, means - offset)[kept],
+        np.array([0.0, *time_errors])[kept],
+        np.where(is_off, 0.0, np.hypot(errors, offset_error))[kept],
         offset,
         are_input,
+        int(is_diode.sum()),
     )
+
+
+def _are_of_a_diode(levels: Array, is_off: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(k,) levels of a diode that a switched-off coil's own current opens: small, of the other sign than before."""
+    found = np.zeros(len(levels), dtype=bool)
+    before = levels[:-1]
+    found[1:] = (levels[1:] * before < 0.0) & (np.abs(levels[1:]) <= DIODE) & (np.abs(before) > OVER_DIODE * DIODE)
+    found[:-1] &= is_off[1:]
+    return found & ~is_off
 
 
 def held_steps(times: Array, volts: Array) -> Steps:

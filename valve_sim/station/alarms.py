@@ -60,11 +60,10 @@ class Alarm:
         return self.active or not self.acknowledged
 
     def reported(self, level: int, message: str, time: float, event: str) -> Alarm | None:
-        """The alarm after a report of the monitor; None where the report says nothing new.
+        """The alarm after a report of the monitor, at a time in s since 1970; None where it says nothing new.
 
         Args:
-            level: of the report, as in a diagnostic status. message: of it. time: of it, s since 1970.
-            event: identity that the change gets.
+            level: as in a diagnostic status. event: identity that the change gets.
         """
         is_active = level in _ALARMING
         if not is_active and not self.active:
@@ -84,8 +83,7 @@ class Alarm:
         """The alarm after a person has seen one of its events; or why that does not count.
 
         Args:
-            seen: identity of the event that was seen. comment, user: of the person. time: s since 1970.
-            event: identity that the change gets.
+            seen: identity of the event that was seen. event: identity that the change gets.
         """
         if seen not in self.events:
             return Refusal.UNKNOWN_EVENT

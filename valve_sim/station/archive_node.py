@@ -97,7 +97,7 @@ class Keeper:
         self._keep("alarms", report, row)
 
     def _keep(self, kind: Kind, report: Report, values: dict[str, object]) -> None:
-        self._waiting.append(Row.checked(kind, report.valve, report.time, values))
+        self._waiting.append(Row(kind, report.valve, report.time, values))
 
 
 class ArchiveNode(RosNode[ArchiveSettings]):

@@ -168,9 +168,6 @@ def stroke_report(text: str) -> Report:
 def finding_report(summary: str, found: Mapping[str, str]) -> Report:
     """What a monitor's ~/finding says; of several parameters the first is shown, and all are in the summary.
 
-    Args:
-        summary: its words. found: keys and values.
-
     Raises:
         UnusableMessageError: it is no such finding.
     """

@@ -27,25 +27,16 @@ class StationEar:
     """What is said of the valves of a station, heard when its node looks, a few times a second.
 
     Args:
-        node: subscribes. clock, interface: of it.
         valves, monitors: full names of their nodes, in one order.
-        tell: is handed each report.
         is_live: whether to hear phase, is_open, current and pressure of the valves, too.
         alarms: the topic on which an opcua_node says who has acknowledged an alarm; empty: not heard.
     """
 
     def __init__(
         self,
-        node: Node,
-        clock: NodeClock,
-        interface: Interface,
-        valves: Sequence[str],
-        monitors: Sequence[str],
-        tell: Callable[[Report], None],
-        *,
-        is_live: bool,
-        alarms: str = "",
-    ) -> None:
+        node: Node, clock: NodeClock, interface: Interface, valves: Sequence[str], monitors: Sequence[str],
+        tell: Callable[[Report], None], *, is_live: bool, alarms: str = "",
+    ) -> None:  # fmt: skip
         self._node, self._tell = node, tell
         self._pairs = list(zip(valves, monitors, strict=True))
         self._inbox = Inbox(node, clock)
@@ -116,18 +107,15 @@ def hear_live(
     """Receive what a valve says often.
 
     Args:
-        interface: subscribes. inbox: receives. seldom: receives the coil's current, which comes at the rate of the
-            valve and of which only the latest counts. valve: full name of its node.
+        seldom: receives the coil's current, which comes at the rate of the valve and of which only the latest counts.
         take: is handed the topic's name, its value, and when it came.
     """
 
     def hear(place: Inbox, name: str, field: str) -> None:
-        interface.receive(
-            place,
-            f"{{valve}}/{name}",
-            lambda message, arrival: take(name, getattr(message, field), arrival),
-            valve=valve,
-        )
+        def pass_on(message: Any, arrival: Arrival) -> None:
+            take(name, getattr(message, field), arrival)
+
+        interface.receive(place, f"{{valve}}/{name}", pass_on, valve=valve)
 
     hear(inbox, "phase", "data")
     hear(inbox, "is_open", "data")

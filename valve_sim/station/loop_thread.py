@@ -22,12 +22,7 @@ class Served(Protocol):
 
 
 class LoopThread:
-    """Serves something in a thread of its own.
-
-    Args:
-        name: of the thread. served: is started and stopped in it.
-        fail: is told, in the thread, what went wrong in what was done there after the start.
-    """
+    """Serves something in a thread of its own; `fail` is told, there, what went wrong after the start."""
 
     def __init__(self, name: str, served: Served, fail: Fail = lambda error: None) -> None:
         self._served, self._fail = served, fail

@@ -61,8 +61,10 @@ class PlcServer:
         """Close all connections."""
         self._closing.cancel()
         self._server.close()
-        for writer in [*self._heard_at]:
-            self._drop(writer)
+        for writer in self._heard_at:
+            writer.transport.abort()
+        while self._heard_at:  # each takes itself out
+            await asyncio.sleep(0.01)
 
     def _drop(self, writer: asyncio.StreamWriter) -> None:
         del self._heard_at[writer]

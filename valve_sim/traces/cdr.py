@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 ENCAPSULATION_SIZE = 4
 """Bytes before the message: representation (big or little endian CDR) and options."""
 
+MOST_STEPS = 100_000
+"""Messages in one message: arrays of arrays of empty ones may be any number."""
 _BASE_TYPES = {
     "bool": "u1",
     "byte": "u1",
@@ -92,6 +94,7 @@ class _Walker:
         self.definitions = definitions
         self.order = "<" if payload[1] else ">"
         self.position = ENCAPSULATION_SIZE
+        self.steps = 0
         self.fields: dict[str, Field] = {}
         self.texts: dict[str, tuple[str, ...]] = {}
         self.fixed: list[tuple[int, int]] = [(0, 2)]
@@ -99,7 +102,8 @@ class _Walker:
     def walk(self, message_type: str, prefix: str = "") -> None:
         """Take all fields of a message or of a message in it."""
         detail: Any  # its shape depends on the kind, which the library types as a union
-        if message_type not in self.definitions:
+        self.steps += 1
+        if message_type not in self.definitions or self.steps > MOST_STEPS:
             raise MalformedMessage
         for name, (kind, detail) in self.definitions[message_type][1]:
             path = prefix + name

@@ -7,6 +7,7 @@ wrong stamp: a late message fills the gap that it left, a wrong stamp falls wher
 
 from __future__ import annotations
 
+import itertools
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -32,7 +33,7 @@ JUMP_RUN = 20
 """So many wrong stamps in a row mean that the clock was set, not that messages were misdelivered."""
 
 FORWARD_JUMP = SECOND // 10
-"""A step of the stamps that exceeds the step of bag time by so much means that the clock was set forward."""
+"""A step of the stamps that exceeds the step of bag time by so much, and stays so, means that the clock was set."""
 
 GAP_FACTOR = 3.0
 """An interval so many times the usual one is a gap."""
@@ -160,6 +161,7 @@ def _longest_stretch(
         lowest_ahead = np.minimum.accumulate(kept_stamps[::-1])[::-1]
         forward = forward[lowest_ahead[forward] > np.maximum.accumulate(kept_stamps)[forward - 1]]
     cuts = np.union1d(backward, forward)
+    cuts = cuts[[cut in backward or is_set for cut, is_set in zip(cuts, _are_set(delays[index], cuts), strict=True)]]
     if len(cuts) == 0:
         return index, 0
     stretches = np.split(index, cuts)
@@ -175,6 +177,20 @@ def _longest_stretch(
         f"{len(stretches[longest])} of {len(stamps)} samples"
     )
     return stretches[longest], shift
+
+
+def _are_set(delays: Delays, cuts: NDArray[np.intp]) -> list[bool]:
+    """At which cuts the level of the delay falls, by more than it scatters: a recorder that stalls returns to it."""
+    pieces = np.split(delays, cuts)
+    ends = [np.quantile(piece, [0.1, 0.9]) if len(piece) >= JUMP_RUN else None for piece in pieces]
+    found = []
+    for before, after in itertools.pairwise(ends):
+        if before is None or after is None:
+            found.append(False)
+        else:
+            scatter = max(float(np.diff(before)[0]), float(np.diff(after)[0]))
+            found.append(bool(before[0] - after[0] > max(FORWARD_JUMP, scatter)))
+    return found
 
 
 def _without_wrong(index: NDArray[np.intp], stamps: Stamps, topic: str, findings: list[str]) -> NDArray[np.intp]:

@@ -22,6 +22,7 @@ from mcap.reader import make_reader
 from mcap.records import Channel, Chunk, ChunkIndex, Schema
 from numpy.lib.stride_tricks import sliding_window_view
 
+from valve_sim.files.bounded import MOST_EXPANDED
 from valve_sim.traces.cdr import full_type
 
 if TYPE_CHECKING:
@@ -42,6 +43,10 @@ PIECE_SIZE: Final = 1 << 10
 """Compressed bytes are taken in pieces, so that what came before the damage is kept."""
 LARGEST_CHUNK: Final = 1 << 27
 """Bytes that a chunk, or a message that is packed by itself, unpacks to at most: recorders write a few million."""
+SMALL_CHUNK: Final = 1 << 23
+"""Bytes that any chunk may unpack to."""
+MOST_UNKNOWN: Final = 10_000
+"""Records of other kinds that a file may have."""
 RECORD_HEAD: Final = Struct("<BQ")
 """Opcode and length, before each record of an MCAP file."""
 CHUNK_HEAD: Final = Struct("<QQQII")
@@ -144,6 +149,8 @@ class IndexedMcap:
                     for number in here:
                         times, places = _message_index(stream, index.message_index_offsets[number])
                         starts, stops, published = _payload_bounds(raw, places, number)
+                        if (stops - starts).sum() > len(raw):
+                            raise NotIndexed
                         channels[number].take(times, raw, starts, stops, published)
                         left[number] -= len(times)
         if any(left.values()):
@@ -232,6 +239,7 @@ def _all_records(stream: BinaryIO, found: Contents) -> Iterator[Schema | Channel
         yield from summary.schemas.values()
         yield from summary.channels.values()
     stream.seek(len(MCAP_MAGIC))
+    others = 0
     while len(head := stream.read(RECORD_HEAD.size)) == RECORD_HEAD.size:
         opcode, length = RECORD_HEAD.unpack(head)
         is_cut = length > size - stream.tell()
@@ -248,6 +256,9 @@ def _all_records(stream: BinaryIO, found: Contents) -> Iterator[Schema | Channel
                 return
             yield record
         else:
+            others += 1
+            if opcode == 0 or others > MOST_UNKNOWN:
+                return
             stream.seek(length, os.SEEK_CUR)
 
 
@@ -265,7 +276,7 @@ def _chunk_records(data: bytes, found: Contents) -> Iterator[Schema | Channel | 
         found.damaged_chunks += 1
         if len(unpacked) == size:  # any byte may be wrong, and a wrong position is worse than a missing one
             return
-    begin = RECORD_HEAD.size
+    unpacked, begin = unpacked[:size], RECORD_HEAD.size
     while begin <= len(unpacked):
         opcode, length = RECORD_HEAD.unpack_from(unpacked, begin - RECORD_HEAD.size)
         stop = begin + length
@@ -276,6 +287,8 @@ def _chunk_records(data: bytes, found: Contents) -> Iterator[Schema | Channel | 
             if record is None:  # it is invalid, and so may be what follows
                 return
             yield record
+        else:  # no other is allowed here
+            return
         begin = stop + RECORD_HEAD.size
 
 
@@ -322,10 +335,11 @@ def unpack_chunk(chunk: Chunk) -> bytes:
         TooLargeError: It says that it is larger than `LARGEST_CHUNK`.
     """
     size = chunk.uncompressed_size
-    if size > LARGEST_CHUNK:
+    if size > min(LARGEST_CHUNK, MOST_EXPANDED * len(chunk.data) + SMALL_CHUNK):
         raise TooLargeError(
             f"a chunk of {len(chunk.data)} bytes unpacks to {size / 1e6:.6g} MB, expected at most "
-            f"{LARGEST_CHUNK / 1e6:.0f} MB; write the recording anew with smaller chunks (ros2 bag convert)"
+            f"{LARGEST_CHUNK / 1e6:.0f} MB and {MOST_EXPANDED} times its size; write the recording anew with smaller "
+            "chunks (ros2 bag convert)"
         )
     if chunk.compression == "zstd":
         return unpack_zstd(chunk.data, size)

@@ -132,6 +132,7 @@ class _Assembly:
             clock=clock,
             outlet_start=start,
             origins={key: source.name for key, source in self.plan.sources.items()},
+            units={key: source.unit for key, source in self.plan.sources.items() if source.unit},
             **signals,  # type: ignore[arg-type] # by the names that a trace has for them
         )
         trouble = find_problems(trace, self.samples_topic, self.input.topic)

@@ -9,10 +9,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-import yaml
 import zstandard
 from rosbags.typesys import get_types_from_idl, get_types_from_msg
 
+from valve_sim.files.bounded import MOST_EXPANDED, SMALL
 from valve_sim.model.errors import ValveError
 from valve_sim.traces.cdr import typestore
 from valve_sim.traces.clocks import SECOND
@@ -34,9 +34,8 @@ STORAGE_SUFFIXES: Final = (".mcap", ".db3")
 MAGIC: Final = {".mcap": MCAP_MAGIC, ".db3": SQLITE_MAGIC, ".zstd": ZSTD_MAGIC}
 LARGEST_METADATA: Final = 1 << 22
 """Bytes of a metadata.yaml that are looked at."""
-MOST_EXPANDED: Final = 200
-"""Times its size that a packed file unpacks to at most, beside `SMALL` bytes: recordings are packed to a tenth."""
-SMALL: Final = 1 << 26
+LARGEST_DEFINITION: Final = 100_000
+"""Characters of a message type's definition that are parsed."""
 LATE: Final = 1_000_000
 """ns from publication to the log: some message takes less, or these are of two clocks. A longer way is said."""
 EARLY: Final = 100_000
@@ -189,6 +188,8 @@ def _definitions_of(contents: Sequence[Contents], message_type: str) -> Definiti
         return usual
     for part in contents:
         form, text = part.definitions.get(message_type, ("", ""))
+        if len(text) > LARGEST_DEFINITION:
+            continue
         try:
             found = _types_from_idl(text) if form == "ros2idl" else get_types_from_msg(text, message_type)
         except Exception:  # of a definition that is none, the library raises what it stumbles over
@@ -290,15 +291,19 @@ def _storage_files(path: Path) -> list[Path]:
 def _metadata_of(path: Path) -> _Metadata:
     """What metadata.yaml says, of whichever version."""
     file = path / "metadata.yaml"
-    if not file.exists():
+    if not file.is_file():
         return _Metadata(trouble="metadata.yaml is missing (the recorder writes it when it ends)")
-    try:
-        with file.open("rb") as stream:
-            found = yaml.safe_load(stream.read(LARGEST_METADATA))["rosbag2_bagfile_information"]
-        names = tuple(Path(str(name)).name for name in found["relative_file_paths"])
-        return _Metadata(names, int(found["message_count"]))
-    except Exception:  # YAML of any form
+    with file.open("rb") as stream:
+        text = stream.read(LARGEST_METADATA).decode("utf-8", "replace")
+    # Its lines on quality of service are YAML within YAML, of every version in another form.
+    listed = re.search(r"^  relative_file_paths:(?P<one> *\[.*)?\n(?P<each>(?: +- .*\n?)*)", text, re.MULTILINE)
+    count = re.search(r"^  message_count: (\d{1,18})\s*$", text, re.MULTILINE)
+    if listed is None or count is None:
         return _Metadata(trouble="metadata.yaml cannot be read")
+    names = re.findall(r"[^\s\[\],]+", listed["one"] or "") or re.findall(
+        r"^ +- (.*?)\s*$", listed["each"], re.MULTILINE
+    )
+    return _Metadata(tuple(Path(name.strip("'\"")).name for name in names), int(count[1]))
 
 
 def _listed_files(path: Path, metadata: _Metadata) -> tuple[list[Path], list[str]]:

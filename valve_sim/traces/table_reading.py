@@ -131,6 +131,7 @@ class _TableAssembly:
             main_position=main,
             epoch_ns=epoch,
             origins={"time": self.timed_by, **{key: source.name for key, source in self.sources.items()}},
+            units={key: source.unit for key, source in self.sources.items() if source.unit},
             clock="time column" if self.axis.column else "rate",
             **{**signals, "coil_voltage": signals.get("coil_voltage") or self.voltage},  # type: ignore[arg-type] # by name
         )

@@ -58,6 +58,7 @@ class Trace(Signals):
         clock: "header" when samples are timed by their stamps, "bag" when by the time they were recorded; of a table
             "time column", or "rate".
         findings: One sentence each: what was dropped, repaired or salvaged, with counts.
+        units: Quantity to the unit that a map gives it; of others SI.
         origins: Quantity as a map calls it ("position") to the topic or column that it was read from, for messages.
     """
 
@@ -76,6 +77,7 @@ class Trace(Signals):
     clock: str = "header"
     findings: tuple[str, ...] = ()
     origins: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         """Trace('train.mcap', 16 commands, 10000 samples of the position)."""

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from valve_sim.files.channels import SIGNALS
+from valve_sim.files.channels import CHANNELS, SIGNALS, UNITS
 from valve_sim.model.core_types import Phase
 from valve_sim.model.drives import Drive
 from valve_sim.signals.left_out import words_of
@@ -16,8 +16,6 @@ from valve_sim.traces.strokes import FULL_TRAVEL, find_stroke_parts
 from valve_sim.traces.trace import TraceError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from valve_sim.model import ValveParameters
     from valve_sim.traces.trace import Trace
 
@@ -26,7 +24,7 @@ LARGEST_POSITION = 0.1
 """m; a solenoid valve's plunger moves millimetres: beyond this the unit is most likely not metres."""
 MOST_STROKES = 10.0
 """No position lies so many strokes from the closed one, or its unit is not metres."""
-TOO_SMALL = {1e3: "m were taken for mm, or mm for um", 1e6: "m were taken for um"}
+TOO_SMALL = (1e3, 1e6)
 """A travel so many times smaller than the stroke is another unit; what lies between may be a valve that sticks."""
 ALIKE = 3.0
 """Declared and true stroke differ by less than this factor."""
@@ -73,6 +71,8 @@ def find_problems(trace: Trace, positions: str, voltage: str) -> list[str]:
     if travel <= motion_threshold(trace.kept_position):
         findings.append(f"{positions}: no motion: {PILOT} stays within {travel * 1e6:.3g} µm")
         beside = []
+    else:
+        findings += _inverted(trace, positions)
     return findings + beside
 
 
@@ -103,6 +103,9 @@ def doubtful_units(trace: Trace, parameters: ValveParameters) -> tuple[str, ...]
     Returns:
         One line each: where, what was found, what is expected, and the mend.
     """
+    exchanged = _exchanged(trace, parameters)
+    if exchanged:
+        return (exchanged,)
     checks = (_position, _time, _voltage, _current) if trace.has_positions else (_voltage, _current)
     found = [check(trace, parameters) for check in checks]
     return tuple(line for line in found if line)
@@ -192,18 +195,17 @@ def _position(trace: Trace, parameters: ValveParameters) -> str:
     stroke, travel = parameters.stroke, largest_travel(trace.usable_position)
     where = _where(trace, "position")
     if travel > MOST_STROKES * stroke:
-        unit, factor = _unit_of(travel / stroke, {"mm": 1e3, "um": 1e6, "nm": 1e9})
+        factor = min((1e3, 1e6, 1e9), key=lambda own: abs(np.log(travel / stroke / own)))
         return (
             f"{where}: {PILOT} travels {travel:.4g} m, expected about {stroke:.4g} m (valve.stroke), at most "
-            f"{MOST_STROKES * stroke:.4g} m: about {factor:g} times too large, as if {unit} were taken for m; "
-            f"publish metres, or correct it with --map and unit: {unit}"
+            f"{MOST_STROKES * stroke:.4g} m: about {factor:g} times too large{_mend(trace, 'position', 1.0 / factor)}"
         )
-    for factor, words in TOO_SMALL.items():
+    for factor in TOO_SMALL:
         alike = 1.0 / ALIKE < factor * travel / stroke < ALIKE
         if alike and travel > motion_threshold(trace.kept_position) - SMALLEST_MOTION:
             return (
                 f"{where}: {PILOT} travels {travel:.4g} m, expected about {stroke:.4g} m (valve.stroke): about "
-                f"{factor:g} times too small, as if {words}; correct unit: or scale: with --map"
+                f"{factor:g} times too small{_mend(trace, 'position', factor)}"
             )
     usual = float(np.median(trace.kept_position))
     if abs(usual) > MOST_STROKES * stroke:
@@ -240,12 +242,13 @@ def _time(trace: Trace, parameters: ValveParameters) -> str:
 
 def _voltage(trace: Trace, parameters: ValveParameters) -> str:
     reference, highest = parameters.reference_voltage, float(np.abs(trace.drive.volts).max(initial=0.0))
-    where = _where(trace, "command" if "command" in trace.origins else "voltage")
+    quantity = "command" if "command" in trace.origins else "voltage"
+    where = _where(trace, quantity)
     expected = f"expected about {reference:g} V (valve.reference_voltage)"
     if highest > MOST_VOLTS * reference:
         return (
-            f"{where}: the voltage reaches {highest:.4g} V, {expected} and at most {MOST_VOLTS * reference:g} V; "
-            "publish volts, or correct it with --map and unit: mV"
+            f"{where}: the voltage reaches {highest:.4g} V, {expected} and at most {MOST_VOLTS * reference:g} V"
+            f"{_mend(trace, quantity, 1e-3)}"
         )
     is_too_low = highest < reference / MOST_VOLTS
     # What opens with the reference voltage opens with more: that needs no simulation, which would load compiled code.
@@ -279,7 +282,7 @@ def _current(trace: Trace, parameters: ValveParameters) -> str:
     words = f"expected about {expected:.3g} A (voltage by valve.coil_resistance {parameters.coil_resistance:g} Ω)"
     if highest > MOST_AMPERES * expected:
         found = f"the current reaches {highest:.4g} A"
-        return f"{where}: {found}, {words}; publish amperes, or correct it with --map and unit: mA"
+        return f"{where}: {found}, {words}{_mend(trace, 'current', 1e-3)}"
     if highest < LEAST_AMPERES * expected and _has_moved(trace):
         return (
             f"{where}: the current reaches {highest:.3g} A only, {words}; "
@@ -299,6 +302,49 @@ def _has_moved(trace: Trace) -> bool:
     return largest_travel(trace.usable_position) > motion_threshold(trace.kept_position)
 
 
-def _unit_of(ratio: float, factors: Mapping[str, float]) -> tuple[str, float]:
-    """The unit whose factor is closest to the ratio, and that factor."""
-    return min(factors.items(), key=lambda item: abs(np.log(ratio / item[1])))
+def _mend(trace: Trace, quantity: str, factor: float) -> str:
+    """What to do about numbers that should be so many times as large: another unit of the map, or a scale."""
+    units = UNITS[CHANNELS[quantity].dimension]
+    taken = trace.units.get(quantity, CHANNELS[quantity].unit)
+    right = units[taken].factor * factor
+    unit = min(units, key=lambda name: abs(np.log(units[name].factor / right)))
+    if unit == taken:
+        return f"; correct it with --map and scale: {factor:g}"
+    return f", as if {unit} were taken for {taken}; correct it with --map and unit: {unit}"
+
+
+def _exchanged(trace: Trace, parameters: ValveParameters) -> str:
+    """Whether voltage and current are each other: the other way round, both are as declared."""
+    signal = trace.coil_current
+    if signal is None or not len(signal.values):
+        return ""
+    volts = float(np.abs(trace.drive.volts).max(initial=0.0))
+    amperes = float(np.quantile(np.abs(signal.values), 0.999))
+    resistance, reference = parameters.coil_resistance, parameters.reference_voltage
+    if not (min(volts, amperes) > 0.0 and amperes > ALIKE * volts / resistance and amperes > volts):
+        return ""
+    alike = [amperes / reference, volts / (amperes / resistance)]
+    if not all(1.0 / ALIKE < ratio < ALIKE for ratio in alike):
+        return ""
+    voltage, current = _where(trace, "command" if "command" in trace.origins else "voltage"), _where(trace, "current")
+    return (
+        f"{voltage} and {current}: the voltage reaches {volts:.3g} V and the current {amperes:.3g} A, expected about "
+        f"{reference:g} V and {reference / resistance:.3g} A (valve.reference_voltage, valve.coil_resistance): they "
+        "are exchanged; name each by the other's topic or column in --map"
+    )
+
+
+def _inverted(trace: Trace, positions: str) -> list[str]:
+    """Whether the position falls where the coil is switched on: one sentence, or none."""
+    index = np.searchsorted(trace.drive.times, trace.times, side="right")
+    volts = np.abs(np.concatenate([[0.0], trace.drive.volts]))[index]
+    on, off = volts > 0.5 * volts.max(initial=0.0), volts == 0.0
+    if not (on.any() and off.any()):
+        return []
+    opened, closed = (float(np.median(trace.usable_position[own])) for own in (on, off))
+    if closed - opened <= 0.5 * largest_travel(trace.usable_position):
+        return []
+    return [
+        f"{positions}: the position is higher while the coil is off than while it is on, expected 0 where the valve is "
+        "closed and positive towards the core: it may be inverted; correct it with --map and sign: -1 (and offset:)"
+    ]

@@ -306,10 +306,13 @@ class StrokeSegmenter:
         return self._settings.settle + self.uncertainty / TAIL
 
     def _observe(self, time: float, position: float, highest: float, reading: Reading) -> None:
-        self._last, self._position = time, position
+        last, self._last, self._position = self._last, time, position
         self.line.note(time, reading.outlet_pressure)
         if not self._is_closed(highest):
             self._last_open = time
+        elif self._last_open == last > -math.inf and self._phase is Phase.CLOSED:
+            # It closes after the model had, as where its command came late.
+            self._latest = max(self._latest, min(time - self._phase_since, LONGEST_DELAY))
         is_still = abs(reading.pilot_velocity) <= STILL
         phase = Phase.CLOSED if is_still and self._is_closed(reading.pilot_position) else reading.phase
         if phase is not self._phase:
@@ -343,12 +346,6 @@ class StrokeSegmenter:
                 self.fault = DidNotClose(position)
             if stroke is not None:
                 stroke.closed, stroke.fault = closed, stroke.fault or (None if closed else self.fault)
-
-    def _note_lateness(self) -> None:
-        """Remember how long the valve stayed open after the model had closed, as where its command came late."""
-        late = max(self._last_open - self._phase_since if self._phase is Phase.CLOSED else 0.0, self._heard.spread)
-        if self._is_closed(self._position) and math.isfinite(late) and late > self._latest:
-            self._latest = min(late, LONGEST_DELAY)
 
     def _is_closed(self, position: float) -> bool:
         """Whether valve or model is closed; without seat load the model rests some picometres above its seat."""
@@ -427,7 +424,7 @@ class StrokeSegmenter:
     def _finish(self, stroke: StrokeInProgress, remark: Remark | None, until: float = math.inf) -> None:
         """Emit the stroke; its last samples at rest are also the first of the next one."""
         remark = remark or self._judge_late(stroke)
-        self._note_lateness()
+        self._latest = max(self._latest, min(self._heard.spread, LONGEST_DELAY))
         if stroke.fault is None:
             self.fault = None
         # Later currents than the last position belong to the next stroke.

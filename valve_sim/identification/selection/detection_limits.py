@@ -54,7 +54,7 @@ def detection_limits(result: Fit, rivals: Rivals) -> dict[str, dict[str, float]]
         needed = math.log(SURE / (1.0 - SURE)) + rivals.log_prior(())[0] - rivals.log_prior((name,))[0]
         sigmas = _sigmas(result, outside, effect)
         found[name] = {
-            switch.name: _Limit(result, outside, effect, switch, sigmas.get(switch.name, math.inf)).size(needed)
+            switch.name: _Limit(result, effect, switch, sigmas.get(switch.name, math.inf)).size(needed)
             for switch in effect.parameters
             if switch.off is not None
         }
@@ -79,12 +79,9 @@ def _sigmas(result: Fit, outside: OrthogonalProjector, effect: EffectChoice) -> 
 class _Limit:
     """The limit of one switch of an effect, whose search coordinate has the standard error `sigma`."""
 
-    def __init__(
-        self, result: Fit, outside: OrthogonalProjector, effect: EffectChoice, switch: Parameter, sigma: float
-    ) -> None:
+    def __init__(self, result: Fit, effect: EffectChoice, switch: Parameter, sigma: float) -> None:
         assert switch.off is not None
-        self._result, self._outside, self._effect, self._switch = result, outside, effect, switch
-        self._sigma, self._name = sigma, effect.free_name(switch)
+        self._result, self._switch, self._sigma, self._name = result, switch, sigma, effect.free_name(switch)
         self._parameter = result.problem.plant.parameter(self._name)
         self._off, (lower, upper) = to_internal(self._parameter, switch.off), internal_bounds(self._parameter)
         self._most = max(self._off - lower, upper - self._off)

@@ -26,12 +26,10 @@ class Adequacy:
 
     Attributes:
         p_value: of the most telling test, all tests counted. worst: that test, in words.
-        lag_one: autocorrelation of the whitened residual.
     """
 
     p_value: float
     worst: str
-    lag_one: float
 
     @property
     def is_white(self) -> bool:
@@ -49,7 +47,7 @@ def whiteness(problem: Problem, residuals: Array, free: int) -> Adequacy:
     moving = moving_residuals(problem, residuals)
     count = len(moving)
     if count < 50:
-        return Adequacy(1.0, "too few samples in motion to tell", 0.0)
+        return Adequacy(1.0, "too few samples in motion to tell")
     quiet = max(1, min(noise.samples for noise in problem.noises.values()))
     tests = {"the residual is larger than the noise": _size_test(moving, quiet, free)}
     for block in BLOCKS:
@@ -57,8 +55,7 @@ def whiteness(problem: Problem, residuals: Array, free: int) -> Adequacy:
         means = moving[:whole].reshape(-1, block).mean(axis=1) * math.sqrt(block)
         tests[f"the residual drifts over {block} samples"] = _size_test(means, quiet, free)
     worst = min(tests, key=lambda name: tests[name])
-    lag_one = float(np.sum(moving[1:] * moving[:-1])) / max(sum_squares(moving), 1e-300)
-    return Adequacy(min(1.0, len(tests) * tests[worst]), worst, lag_one)
+    return Adequacy(min(1.0, len(tests) * tests[worst]), worst)
 
 
 def moving_residuals(problem: Problem, residuals: Array) -> Array:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Final, NamedTuple
 
@@ -92,8 +91,3 @@ def check_gas(values: Mapping[str, object], source: str) -> GasParameters:
             f"{source}: gas.{missing[0]} is missing; gas needs {', '.join(required)}, or take the group gas out"
         )
     return GasParameters(**checked)  # type: ignore[arg-type]
-
-
-def orifice_area(diameter: float) -> float:
-    """Of a round hole, m²."""
-    return math.pi / 4.0 * diameter * diameter

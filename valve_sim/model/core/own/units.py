@@ -222,12 +222,6 @@ def dimension_words(dimension: Dimension) -> str:
     return f"{above}/({below})" if "·" in below else f"{above}/{below}" if below else above
 
 
-class _Fit(NamedTuple):
-    """What is known of a part: its dimension, None where it is a plain 0 that fits everywhere."""
-
-    dimension: Dimension | None
-
-
 def dimension_of(  # noqa: PLR0911 -- one for each kind of operation
     expression: Expr, names: Mapping[str, Dimension]
 ) -> Dimension | None:
