@@ -1,7 +1,7 @@
 """Statements that a review saw fail, by its numbers (T 1 to T 5, T 10), on the recordings that it left.
 
-Each is what is right. The fit and the loop that make it so come later, so each fails today; whoever makes one pass takes
-its mark off. T 3 and T 4 are not strict: since the reader takes a freewheel's voltage for no command they may pass.
+Each is what is right. The fit and the loop that make it so come later, so each fails today; whoever makes one pass
+takes its mark off. T 3 and T 4 are not strict: since the reader takes a freewheel voltage for no command they may pass.
 """
 
 from __future__ import annotations
