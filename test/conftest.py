@@ -15,7 +15,6 @@ SHARED = {
     "test_html.py": "the diagnosis of friction",
     "test_properties.py": "the diagnosis of friction",
     "test_wording.py": "the diagnosis of friction",
-    "test_properties.py": "the diagnosis of friction",
     "test_golden.py": "the shipped recordings",
     "test_bags.py": "the shipped recordings",
     "test_api.py": "the shipped recordings",
