@@ -32,7 +32,7 @@ from valve_sim.model.core import layout as at
 from valve_sim.model.core.code import Code, Value
 from valve_sim.model.core.equations import System
 from valve_sim.model.core.series import Series
-from valve_sim.model.core.steps import OF_TANGENTS, SIZE_OF_FORCE, SIZE_OF_V
+from valve_sim.model.core.steps import SIZE_OF_FORCE, SIZE_OF_V
 from valve_sim.model.core.tracer import Node, ancestors, derivative
 
 SIZE_OF_X: Final = 1e-5
@@ -382,8 +382,6 @@ class Kernels:
         """
         worst, powers = code.constant(0.0), self._powers(code, step, at.TERMS)
         least, tolerance = code.constant(SIZE_OF_V), code.load(at.TOLERANCE)
-        if self.width:
-            tolerance = code.mul(tolerance, code.constant(OF_TANGENTS))
         for fraction in CHECKED_AT:
             h = code.mul(step, code.constant(fraction))
             states, slope = self._states_at(code, h)
