@@ -22,11 +22,7 @@ SETTINGS = (
 class Browser:
     """One page in a browser of its own, steered by the DevTools protocol through a pair of pipes.
 
-    Args:
-        page: the file. folder: for the browser's profile.
-
-    Attributes:
-        errors: what the page's scripts threw, and what the console shows as an error.
+    `errors` has what the page's scripts threw, and what the console shows as an error.
     """
 
     def __init__(self, page: Path, folder: Path) -> None:

@@ -131,10 +131,7 @@ def test_a_clogged_orifice_is_found_although_the_fit_begins_far_away() -> None:
 
 
 def test_a_clogged_orifice_is_no_better_known_than_what_fills_the_line() -> None:
-    """Into a dead end the time to fill tells ratio · C_d · d_p²/V alone, and two of these have tolerances.
-
-    Derivatives of a longer step, or of another place, gave a tenth of this standard error.
-    """
+    """Into a dead end the time to fill tells ratio · C_d · d_p²/V alone, and two of these have tolerances."""
     result = clogged(0.6, seed=4)
     least = 0.6 * math.hypot(2.0 * SHARES["pilot_orifice_diameter"], SHARES["outlet_volume"])
     assert 0.7 * least < result.stderr(CLOGGING) < 2.0 * least

@@ -1,4 +1,4 @@
-"""Priors: densities that integrate to one, and what they add to a fit is their gradient."""
+"""Priors: densities that integrate to one, and which one every freed number has."""
 
 from __future__ import annotations
 
@@ -42,22 +42,6 @@ def test_a_density_integrates_to_one(prior: Prior, pieces: tuple[float, ...]) ->
         for low, high in itertools.pairwise(pieces)
     ]
     assert sum(parts) == pytest.approx(1.0, abs=1e-6)
-
-
-@pytest.mark.parametrize("prior", [NORMAL, CAUCHY, ONE_SIDED, LOG_NORMAL, EVEN], ids=lambda own: type(own).__name__)
-@pytest.mark.parametrize("share", [0.5, 6.0])
-def test_what_it_adds_to_a_fit_is_twice_the_logarithm_of_the_density(prior: Prior, share: float) -> None:
-    """Of a log-normal value: of the density of its logarithm, in which the evidence is worked out."""
-    at, step = 2.2 * share, 1e-5
-
-    def twice(place: float) -> float:
-        jacobian = math.log(place) if isinstance(prior, LogNormal) else 0.0
-        return -2.0 * (prior.log_density(place) + jacobian)
-
-    assert prior.pull(at).cost - prior.pull(1.1).cost == pytest.approx(twice(at) - twice(1.1), rel=1e-9, abs=1e-9)
-    slope = (twice(at + step) - twice(at - step)) / (2.0 * step)
-    assert 2.0 * prior.pull(at).half_slope == pytest.approx(slope, rel=1e-5, abs=1e-8)
-    assert prior.pull(at).curvature >= 0.0
 
 
 class Declared(LinearPlant):

@@ -47,13 +47,6 @@ def identified(training):
     return identify([training], declared_valve(exact=False))
 
 
-def test_what_a_wrong_polynomial_is_by_itself_is_its_closest_look_alike(training):
-    """An attraction that is off at rest is its first coefficient; springs and loads only stand in for that."""
-    alike = ValvePlant([training], declared_valve(exact=False)).effects["valve.attraction_polynomial"].confused_with
-    assert alike[0] == "rest_attraction"
-    assert alike.index("drive_gain") < alike.index("valve.spring_rate") < alike.index("valve.seat_load")
-
-
 def test_declared_values_that_are_off_leave_the_dampings_within_their_intervals(identified):
     for name, true in DAMPED.items():
         assert identified.intervals[name].low < true < identified.intervals[name].high

@@ -110,15 +110,6 @@ def test_a_lasting_delay_is_no_scatter_at_any_of_several_voltages() -> None:
     assert min(coming[1:]) > 4.0 * QUIET
 
 
-def test_samples_that_come_in_unevenly_widen_at_once() -> None:
-    scatter = CommandScatter(QUIET, timed(*[0.0] * 20, arrival=1e-3))
-    assert scatter.add(timed(0.0, arrival=1e-3)[0]) == QUIET
-    assert scatter.add(timed(0.0, arrival=20e-3)[0]) == pytest.approx(20 * QUIET)
-    for _ in range(20):
-        scatter.add(timed(0.0, arrival=1e-3)[0])
-    assert scatter.sigma == QUIET
-
-
 def stuck(segmenter: StrokeSegmenter, begin: float, hold: float, position: float, late: float) -> StrokeRecord:
     """One stroke of a valve that stays where it is, each second sample late; its record."""
     commands = [(begin + 0.02, 9.0), (begin + 0.02 + hold, 0.0)]

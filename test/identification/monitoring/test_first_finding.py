@@ -64,14 +64,6 @@ def test_the_strokes_of_a_fault_are_isolated_without_those_before_it() -> None:
     assert sizes[:2] == [6, 8]
 
 
-@pytest.mark.parametrize(
-    ("scores", "first"),
-    [([0.2, 2.6, -0.4, 4.4, 5.0, 4.1], 3), ([5.0, 4.0, 4.5], 0), ([0.1, -0.2, 0.3, 6.0], 3), ([1.0], 0), ([], 0)],
-)
-def test_the_likeliest_change_is_where_the_mean_changes(scores: list[float], first: int) -> None:
-    assert likeliest_change(scores) == first
-
-
 def test_the_likeliest_change_of_random_scores_is_within_a_stroke_of_the_true_one() -> None:
     random, misses = np.random.default_rng(5), 0
     for _ in range(200):

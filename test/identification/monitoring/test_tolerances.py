@@ -46,18 +46,6 @@ def test_commissioning_finds_the_valve_as_it_is(commissioned):
     assert np.mean(watched) == pytest.approx(1.0, abs=0.1)
 
 
-def test_what_commissioning_leaves_open_is_known_beside_a_fault(commissioned):
-    baseline = commissioned[0].stroke_monitor.baseline
-    times = np.arange(0.0, 0.03, 1e-4)
-    trace = Trace("a stroke", Drive.of([1e-3], [9.0]), times, np.zeros_like(times))
-    plant = CommissionedPlant(trace, baseline.commissioned, baseline.scatter)
-    errors = [nuisance for nuisance in plant.nuisances if nuisance.name.startswith("commissioning_error")]
-    assert len(errors) == len(baseline.estimated)
-    moved = np.array([plant.predict({error.name: error.sigma})[0] - plant.predict({})[0] for error in errors])
-    # The data have pinned them together: whatever moves within what is left moves the stroke by hardly more than noise.
-    assert 0.0 < np.max(np.abs(moved)) < 20e-6
-
-
 def test_what_a_valve_is_built_with_is_no_fault_of_a_commissioned_one(commissioned):
     baseline = commissioned[0].stroke_monitor.baseline
     times = np.arange(0.0, 0.03, 1e-4)

@@ -34,11 +34,7 @@ PARAMETERS = {
 
 
 class Lag:
-    """T' = (gain · max(power − dead band, 0) − T − radiation · T²)/time constant, from 0 at the beginning.
-
-    Args:
-        data: what the thermometer showed. sensor: of it; None: it does not err. varies: whether the gain does by cycle.
-    """
+    """T' = (gain · max(power − dead band, 0) − T − radiation · T²)/time constant, from 0 at the beginning."""
 
     base = ("gain", "time_constant")
     nuisances: Sequence[Nuisance] = ()

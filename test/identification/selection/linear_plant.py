@@ -19,11 +19,7 @@ COLUMNS = np.random.default_rng(11).standard_normal((SAMPLES, 12))
 
 
 class LinearPlant:
-    """Shown: `level` times the first column, and what is added.
-
-    Args:
-        data: measured. shown: values to what is added to `level`'s column. parameters: of what may be freed beside it.
-    """
+    """Shown: `level` times the first column, and what `shown` makes of the values."""
 
     base: Sequence[str] = ("level",)
     timing_errors: Sequence[Nuisance] = ()

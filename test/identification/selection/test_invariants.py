@@ -70,17 +70,6 @@ def test_a_further_sensor_widens_nothing() -> None:
         assert after[0, 0] < before[0, 0]
 
 
-def test_twice_the_data_halve_variances() -> None:
-    once, twice = Watched(1), Watched(1)
-    twice.channels = [once.channels[0], replace(once.channels[0], recording=1)]
-    twice.predict = lambda values: 2 * once.predict(values)  # type: ignore[method-assign]
-    ratio = np.diag(fitted(twice).covariance) / np.diag(fitted(once).covariance)
-    # The first value is known by its tolerance, the last by the data.
-    assert ratio[0] == pytest.approx(0.5, rel=1e-3)
-    assert ratio[3] == pytest.approx(0.5, rel=1e-3)
-    assert ratio[1] == pytest.approx(1.0, rel=1e-3)
-
-
 # -- names and their order ---------------------------------------------------------------------------------------------
 
 EFFECTS = {"alpha": 1, "beta": 2, "gamma": 3, "delta": 4}
