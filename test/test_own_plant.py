@@ -274,17 +274,3 @@ effects: {{one: {effect}}}
 """
     (folder / "plant.yaml").write_text(text)
     return folder / "plant.yaml"
-
-
-def test_an_axis_whose_velocity_alone_is_recorded_has_scales_for_all_its_effects(tmp_path: Path) -> None:
-    times = np.arange(0.0, 4.0, 1e-3)
-    np.savetxt(
-        tmp_path / "t.csv", np.c_[times, np.sin(np.pi * times), np.cos(np.pi * times)], delimiter=",",
-        header="time,force,velocity", comments="",
-    )  # fmt: skip
-    (tmp_path / "axis.yaml").write_text("plant: axis\nparameters: {mass: 2, viscous: 1}\n")
-    plant = OwnPlant(vs.load_plant(tmp_path / "axis.yaml"), [read(tmp_path / "t.csv")])
-    assert [channel.kind for channel in plant.channels] == ["velocity"]
-    # A fifth of 1 N over the way of half a period of cos(pi t) m/s, of which half is 1/pi m.
-    assert plant.parameter("stiffness.rate").prior_scale == pytest.approx(0.2 * np.pi, rel=1e-3)
-    assert plant.parameter("quadratic_drag.coefficient").prior_scale == pytest.approx(0.2, rel=1e-3)

@@ -1,8 +1,7 @@
 """Formulas as MathML, which browsers draw by themselves: no JavaScript, no fonts from a network, nothing to install.
 
-An equation's label says its number: `$$ … $$ (eq-21)` is equation (21), wherever it stands. Each page counts on from
-its first label, and a label that does not agree with the count is a warning, so that "eq. (21)" in a docstring stays
-true.
+An equation's label says its number: `$$ … $$ (eq-21)` is equation (21), wherever it stands, so that "eq. (21)" in a
+docstring stays true where another equation goes.
 """
 
 from __future__ import annotations
@@ -13,28 +12,20 @@ from typing import Any
 from docutils import nodes
 from latex2mathml.converter import convert
 from sphinx.application import Sphinx
-from sphinx.environment import BuildEnvironment
 from sphinx.util import logging
 
-LABEL = re.compile(r"\(eq-(\d+)\)\s*$", re.MULTILINE)
 COMMAND = re.compile(r"\\\w*")
 FUNCTION = re.compile(r"<mi>(ln|log|exp|sin|cos|tan)</mi>(?=(<mo[^>]*>(?:\(|&#x00028;))?)")
 logger = logging.getLogger(__name__)
 
 
-def count_from_first_label(app: Sphinx, docname: str, source: list[str]) -> None:
-    """Let the equations of a page be numbered from its first label on."""
-    first = LABEL.search(source[0])
-    if first is not None:
-        for _ in range(int(first[1]) - 1):
-            app.env.new_serialno("eqno")
-
-
-def labels_are_numbers(app: Sphinx, env: BuildEnvironment) -> None:
-    """Warn of labels that do not say their number."""
-    for label, (docname, number) in env.domains.math_domain.equations.items():
-        if label.startswith("eq-") and label != f"eq-{number}":
-            logger.warning("equation %s is number %s of its page", label, number, location=docname)
+def number_by_label(app: Sphinx, doctree: nodes.document) -> None:
+    """Let each equation have the number of its label."""
+    for node in doctree.findall(nodes.math_block):
+        label = node.get("label") or ""
+        if label.startswith("eq-"):
+            node["number"] = int(label.removeprefix("eq-"))
+            app.env.domains.math_domain.equations[label] = (app.env.docname, node["number"])
 
 
 def converted(node: nodes.math | nodes.math_block, display: str) -> str:
@@ -72,6 +63,5 @@ def visit_display(translator: Any, node: nodes.math_block) -> None:
 def setup(app: Sphinx) -> dict[str, bool]:
     """Register the renderer."""
     app.add_html_math_renderer("mathml", (visit_inline, None), (visit_display, None))
-    app.connect("source-read", count_from_first_label)
-    app.connect("env-check-consistency", labels_are_numbers)
+    app.connect("doctree-read", number_by_label)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import tempfile
 from pathlib import Path
@@ -308,20 +307,6 @@ def test_plain_copies_mean_the_same(tmp_path: Path) -> None:
     write_sections(copy, read_sections(path))
     assert read_sections(copy) == read_sections(path)
     assert "0.0, 1.5" in copy.read_text()
-
-
-def test_shipped_files_say_where_each_value_is_from() -> None:
-    for name in ("valve.yaml", "published.yaml"):
-        lines = config_path(name).read_text().splitlines()
-        sourced = ("published", "calibrated", "assumed", "rounding")
-        seen = []
-        for before, line in itertools.pairwise(lines):
-            key, colon, _ = line.partition(":")
-            if colon and key.strip() in (*Valve().parameters._fields, "attraction_covariance"):
-                about = lines[lines.index(line) - 4 : lines.index(line)] if "covariance" in key else [before]
-                assert any(word in line + "".join(about) for word in sourced), f"{name}: {line}"
-                seen.append(key.strip())
-        assert len(seen) == len(Valve().parameters._fields) + 8, f"{name}: {seen}"
 
 
 def test_the_default_opens_at_the_published_times_and_the_published_one_never() -> None:

@@ -22,11 +22,7 @@ SETTINGS = (
 class Browser:
     """One page in a browser of its own, steered by the DevTools protocol through a pair of pipes.
 
-    Args:
-        page: the file. folder: for the browser's profile.
-
-    Attributes:
-        errors: what the page's scripts threw, and what the console shows as an error.
+    `errors` has what the page's scripts threw, and what the console shows as an error.
     """
 
     def __init__(self, page: Path, folder: Path) -> None:
@@ -79,12 +75,6 @@ class Browser:
         """The whole page as a PNG."""
         answer = self.call("Page.captureScreenshot", captureBeyondViewport=True)
         path.write_bytes(base64.b64decode(answer["data"]))
-
-    def print(self, path: Path) -> None:
-        """The page on paper, as a PDF."""
-        path.write_bytes(
-            base64.b64decode(self.call("Page.printToPDF", printBackground=True, preferCSSPageSize=True)["data"])
-        )
 
     def call(self, method: str, **parameters: Any) -> Any:
         """The answer to a command of the protocol."""

@@ -12,13 +12,7 @@ from valve_sim.model import Valve
 
 
 class Monitor:
-    """Segmenter and stroke monitor in one thread, for callers without a deadline.
-
-    Args:
-        valve: the declared valve.
-        settings: of the monitor.
-        refit: whether reports have refitted dampings.
-    """
+    """Each way to hand something over is the segmenter's, and returns reports of the strokes that ended with it."""
 
     def __init__(self, valve: Valve, settings: MonitorSettings | None = None, *, refit: bool = True) -> None:
         settings = settings or MonitorSettings()
@@ -28,12 +22,10 @@ class Monitor:
         self._is_handed_over = False
 
     def command(self, time: float, volts: float) -> list[StrokeReport]:
-        """Take a command, like `StrokeSegmenter.command`; return reports of the strokes that it ended."""
         self.segmenter.command(time, volts)
         return self._reports()
 
     def measure(self, time: float, position: float, arrival: float = math.nan) -> list[StrokeReport]:
-        """Take a sample of the positions, like `StrokeSegmenter.measure`."""
         self.segmenter.measure(time, position, arrival)
         return self._reports()
 
@@ -45,7 +37,6 @@ class Monitor:
     def measure_current(
         self, time: float, current: float, voltage: float = math.nan, arrival: float = math.nan
     ) -> list[StrokeReport]:
-        """Take a sample of the current, like `StrokeSegmenter.measure_current`."""
         self.segmenter.measure_current(time, current, voltage, arrival)
         return self._reports()
 

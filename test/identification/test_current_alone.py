@@ -77,17 +77,6 @@ def test_dampings_are_refitted_and_the_position_follows() -> None:
     assert "mA as declared" in identification_text(result)
 
 
-def test_the_band_reaches_to_the_positions_of_models_that_compete() -> None:
-    trace, _ = recorded()
-    found = identify([trace], declared(BUILD)).fit
-    rival = replace(found, values={**found.values, "main_damping": 2.0 * found.values["main_damping"]})
-    (alone,), (theirs,), (beside,) = map(followed_positions, (found, rival, found), ([], [], [(rival, 0.5)]))
-    assert np.max(np.abs(theirs.position - alone.position)) > 3e-6
-    assert np.array_equal(beside.position, alone.position)
-    spread = (theirs.position - alone.position) ** 2 / 3.0
-    assert beside.stderr**2 == pytest.approx(alone.stderr**2 + spread, rel=1e-9, abs=1e-24)
-
-
 def test_a_command_without_its_droop_is_not_the_input_where_the_voltage_was_measured() -> None:
     trace, _ = recorded()
     blind = replace(trace, coil_voltage=None)
@@ -164,14 +153,6 @@ def test_a_strong_lag_that_held_out_data_refute_leaves_its_rivals_their_weight(r
     result = diagnose_plant(Short([train], valve, ["eddy_lag"]), Short([held_out], valve, ["eddy_lag"]))
     assert result.verdict.kind == "unknown"
     assert [rival.weight for rival in result.rivals] == [1.0] * len(result.rivals) != []
-
-
-def test_an_experiment_is_recorded_without_samples_at_its_commands_where_the_current_jumps() -> None:
-    trace, _ = recorded()
-    experiment = ValvePlant([trace], declared(BUILD)).experiments[0]
-    (channel,) = experiment.simulated({}).channels
-    assert len(channel.times) == len(channel.data) == 698
-    assert not np.isin(channel.times, [5e-3, 8e-3]).any()
 
 
 def test_the_motional_emf_shows_in_the_positions() -> None:

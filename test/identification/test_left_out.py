@@ -15,11 +15,10 @@ from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.identify import signal_errors
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
 from valve_sim.identification.estimation import problem as problems
-from valve_sim.identification.estimation.noise import LARGEST_ORDER, Noise, estimate_noise, quiet_windows
+from valve_sim.identification.estimation.noise import estimate_noise
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import rmse
 from valve_sim.identification.estimation.solver import fit
-from valve_sim.identification.plants.protocol import Channel, Direction
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.validation.replay import validate
 from valve_sim.model import Valve
@@ -29,7 +28,6 @@ VALVE = default_valve().exact()
 FINE = Recorder(quantisation=0.1e-6)
 """At 20 kHz, so that spikes and codes of some milliseconds are many samples."""
 BOTH = ("pilot_damping", "main_damping")
-VALUES = {"pilot_damping": 1.3, "main_damping": 3.3, "clock_offset[0]": 1e-5}
 CODE = 32.767e-3
 SENSORS = {"white": FINE, "coloured": Recorder(colour=0.7), "coarse": Recorder(quantisation=5e-6)}
 
@@ -79,46 +77,6 @@ def test_noise_is_that_of_what_is_left(pair: tuple[Trace, Trace]) -> None:
     assert len(found.coefficients) == len(sound.coefficients)
 
 
-def test_residuals_do_not_depend_on_what_is_left_out(pair: tuple[Trace, Trace]) -> None:
-    """Nor do those after it, into which whitening carries it."""
-    trace, bad = pair
-    problem, true = (Problem(ValvePlant([own], VALVE)) for own in (bad, trace))
-    true = true.with_noises(problem.noises)
-    (channel,) = problem.plant.channels
-    left, expected = problem.residuals(VALUES), true.residuals(VALUES)
-    takes_part = problem.weight(0) > 0.0
-    assert channel.left_out is not None
-    assert not takes_part[channel.left_out].any()
-    assert not left[~takes_part].any()
-    order = len(problem.noise.coefficients)
-    assert problem.samples == np.count_nonzero(takes_part) >= channel.count - order * np.count_nonzero(channel.left_out)
-    same = takes_part & (problem.weight(0) == true.weight(0))
-    assert np.count_nonzero(same) > 0.8 * np.count_nonzero(takes_part)
-    np.testing.assert_allclose(left[same], expected[same], rtol=1e-9, atol=1e-12)
-
-
-def test_few_rows_and_sums_say_what_every_sample_does(
-    pair: tuple[Trace, Trace], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    problem = Problem(ValvePlant([pair[1]], VALVE))
-    rows = problem.condensed().rows
-    residuals = problem.residuals(VALUES)
-    chi2 = float(residuals @ residuals)
-    assert rows.constant + float(np.sum(np.square(rows.residuals(VALUES)))) == pytest.approx(chi2, abs=0.01)
-    assert np.sum(rows.counts) == problem.samples
-    directions = [Direction({name: 1.0}, 1e-7) for name in BOTH]
-    jacobian, _ = problem.every_row.sensitivities(VALUES, directions)
-    sums = problem.rows.sums(VALUES, directions)
-    assert sums is not None
-    assert sums.squares == pytest.approx(chi2, rel=1e-12)
-    np.testing.assert_allclose(sums.gradient, jacobian.T @ residuals, rtol=1e-9)
-    by_rows = fit(problem, BOTH, {}, nuisances=problem.plant.nuisances)
-    monkeypatch.setattr(problems, "LONG", 0)
-    by_sums = fit(problem, BOTH, {}, nuisances=problem.plant.nuisances)
-    for name in BOTH:
-        assert abs(by_sums.values[name] - by_rows.values[name]) < 0.02 * by_rows.stderr(name)
-
-
 def test_a_fit_and_its_errors_are_as_without(pair: tuple[Trace, Trace], monkeypatch: pytest.MonkeyPatch) -> None:
     trace, bad = pair
     sound, found = (
@@ -146,39 +104,6 @@ def test_a_fit_at_2_khz_is_as_without_where_lines_miss_the_motion() -> None:
     for name in BOTH:
         assert abs(found.values[name] - sound.values[name]) < sound.stderr(name)
     assert rmse(found) == pytest.approx(rmse(sound), rel=0.05)
-
-
-@pytest.mark.parametrize(("colour", "samples", "reach"), [((), 900, 0), ((0.7,), 900, 1), ((), 0, LARGEST_ORDER)])
-def test_samples_after_one_that_is_left_out_weigh_nothing_as_far_as_whitening_reaches(
-    colour: tuple[float, ...], samples: int, reach: int
-) -> None:
-    """Of what is never still the noise is estimated later, and may have any order."""
-    plant = ValvePlant([spoilt(recorded(FINE))], VALVE)
-    left_out = plant.channels[0].left_out
-    assert left_out is not None
-    weight = Problem(plant, noises={"position": Noise(1e-6, 1e-6, colour, 0.0, samples)}).weight(0)
-    expected = left_out.copy()
-    for place in np.flatnonzero(left_out).tolist():
-        expected[place : place + reach + 1] = True
-    np.testing.assert_array_equal(weight == 0.0, expected)
-
-
-def test_windows_are_bridged_over_spikes_and_end_at_dropouts() -> None:
-    values, left_out = np.zeros(1000), np.zeros(1000, dtype=bool)
-    left_out[200:205] = left_out[500:506] = True
-    channel = Channel(
-        "test", "position", np.arange(1000) / 2e4, values, np.ones(1000, bool), np.zeros(1000, int), left_out=left_out
-    )
-    assert [len(window.values) for window in quiet_windows(channel)] == [500, 494]
-
-
-def test_some_samples_of_a_plant_are_left_out_as_they_were() -> None:
-    plant = ValvePlant([spoilt(recorded(FINE))], VALVE)
-    kept = np.arange(0, len(plant.channels[0].data), 3)
-    few, every = plant.thinned([kept]).channels[0], plant.channels[0]
-    assert few.left_out is not None
-    assert every.left_out is not None
-    np.testing.assert_array_equal(few.left_out, every.left_out[kept])
 
 
 def test_a_replay_is_judged_by_measurements() -> None:

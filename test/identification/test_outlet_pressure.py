@@ -28,7 +28,7 @@ from valve_sim.identification.reporting.validation import validation_json, valid
 from valve_sim.identification.validation.replay import validate
 from valve_sim.model import Drive, ParameterError, Tolerances, Valve, simulate
 from valve_sim.nodes.identification_work import predict
-from valve_sim.traces import Signal, Trace, describe, read_trace, write_bag
+from valve_sim.traces import Signal, Trace
 
 TIMES = np.arange(700) * 1e-3
 NOISE = 35e3
@@ -131,10 +131,7 @@ def test_a_clogged_orifice_is_found_although_the_fit_begins_far_away() -> None:
 
 
 def test_a_clogged_orifice_is_no_better_known_than_what_fills_the_line() -> None:
-    """Into a dead end the time to fill tells ratio · C_d · d_p²/V alone, and two of these have tolerances.
-
-    Derivatives of a longer step, or of another place, gave a tenth of this standard error.
-    """
+    """Into a dead end the time to fill tells ratio · C_d · d_p²/V alone, and two of these have tolerances."""
     result = clogged(0.6, seed=4)
     least = 0.6 * math.hypot(2.0 * SHARES["pilot_orifice_diameter"], SHARES["outlet_volume"])
     assert 0.7 * least < result.stderr(CLOGGING) < 2.0 * least
@@ -208,20 +205,6 @@ def test_what_has_no_gas_says_so() -> None:
     with pytest.raises(ParameterError, match="declares no gas"):
         check_free([ORIFICE], bench)
     check_free([ORIFICE, VOLUME, DEMAND])
-
-
-def test_a_recording_of_command_and_pressure_alone_is_read_back(tmp_path: Path) -> None:
-    trace = recorded(7)
-    write_bag(tmp_path / "outlet.mcap", trace)
-    found = read_trace(tmp_path / "outlet.mcap")
-    assert found.primary_signal == "outlet_pressure"
-    assert found.outlet_pressure is not None
-    np.testing.assert_array_equal(found.outlet_pressure.values, trace.primary_samples.values)
-    np.testing.assert_allclose(found.outlet_pressure.times, TIMES, atol=1e-9)
-    summary = describe(found)
-    assert summary.primary_signal == "outlet_pressure"
-    assert summary.noise == pytest.approx(NOISE, rel=0.2)
-    assert summary.signals["outlet_pressure"].rate == pytest.approx(1000.0)
 
 
 def test_the_command_line_records_and_refits_it(tmp_path: Path) -> None:

@@ -17,6 +17,8 @@ TIGHT, TIGHTEST = 1e-11, 1e-13
 """Of a step: of the derivatives, whose steps are those of the plain trace, and of what they are held against."""
 ACCURACY = 1e-6
 """Of a derivative, of its largest value in the trace."""
+ROUNDING = 1e-14
+"""Of a millimetre, and of the rated current: what a quotient divides by its step."""
 TIMES = np.arange(1.0, 600.0) * 1e-4
 """s: a stroke up, and down to the seat."""
 PULSE = Drive.of([1e-3, 26e-3], [11.0, 0.0])
@@ -119,28 +121,28 @@ def quotient(case: Case, name: str, step: float) -> tuple[np.ndarray, np.ndarray
 
 
 def errors_of(case: Case, names: list[str]) -> dict[str, list[float]]:
-    """How far each derivative is off central differences of one step or more, over its largest value; the last is good.
+    """How far each derivative is off central differences of one step or more, over its largest value; the last is best.
 
     Of those during whose steps other events happen there is none.
     """
     positions, currents = case.derivatives(names)
     errors: dict[str, list[float]] = {name: [] for name in names}
     for index, name in enumerate(names):
-        # Rounding asks for a long step and curvature for a short one.
-        for relative in (1e-4, 1e-5, 1e-3):
+        best = [np.inf, np.inf]
+        # Rounding asks for a long step; curvature, and events that nearly coincide, for a short one.
+        for relative in (1e-4, 1e-5, 1e-3, 3e-6, 1e-6, 3e-7, 1e-7):
             found = quotient(case, name, relative * case.size(name))
             if found is None:
                 continue
             position, current, is_clear = found
             assert is_clear.sum() > 0.8 * len(is_clear)
-            sizes = [
-                max(np.abs(of).max(), least / case.size(name)) for of, least in ((position, 1e-7), (current, 1e-3))
-            ]
-            off = [
-                np.abs(of[is_clear, index] - there[is_clear]).max()
-                for of, there in ((positions, position), (currents, current))
-            ]
-            errors[name].append(max(one / size for one, size in zip(off, sizes, strict=True)))
+            step = relative * case.size(name)
+            channels = ((positions, position, 1e-7, 1e-3), (currents, current, 1e-3, 1.0))
+            for of, (own, there, least, unit) in enumerate(channels):
+                size = max(np.abs(there).max(), least / case.size(name))
+                off = np.abs(own[is_clear, index] - there[is_clear]).max() - ROUNDING * unit / step
+                best[of] = min(best[of], max(off, 0.0) / size)
+            errors[name].append(max(best))
             if errors[name][-1] < ACCURACY:
                 break
     return errors

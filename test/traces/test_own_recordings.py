@@ -486,15 +486,6 @@ def test_what_ros_tells_of_itself_and_what_counts_is_no_quantity_of_a_valve(tmp_
     assert "/clock" not in draft
 
 
-@pytest.mark.parametrize("name", ["lvdt.yaml", "scope.yaml"])
-def test_every_line_of_a_first_map_is_named_as_a_guess(name: str, tmp_path: Path, made: Recording) -> None:
-    lines = draft_map(makers(made, made)[name](tmp_path), VALVE, "valve-sim map").splitlines()
-    entries = [line.partition(":")[0] for line in lines if line[:1].isalpha() and not line.startswith("time")]
-    assert len(entries) >= 2
-    for quantity in entries:
-        assert any(line.startswith(f"# {quantity} is a guess: ") for line in lines), quantity
-
-
 def test_a_current_by_its_name_alone_must_be_one_that_can_flow(tmp_path: Path, made: Recording) -> None:
     assert made.coil_current is not None
     for factor, is_one in ((1.0, True), (1e3, True), (1e9, False)):

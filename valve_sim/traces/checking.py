@@ -60,42 +60,28 @@ def _check_trace(trace: Trace) -> None:
 def _check_series(of_times: str, times: object, of_values: str, values: object, *, rises: bool = False) -> None:
     """Times and values of one length, finite, and in order of time; strictly where they rise."""
     for name, column in ((of_times, times), (of_values, values)):
-        problem = problem_of_column(column)
-        if problem:
-            raise TraceError(f"{name}: {problem}")
+        if not isinstance(column, np.ndarray):
+            raise TraceError(
+                f"{name}: found {type(column).__name__}, expected a numpy array of shape (n,) and dtype float64"
+            )
+        if column.ndim != 1:
+            raise TraceError(f"{name}: found shape {column.shape}, expected (n,)")
+        if not np.issubdtype(column.dtype, np.floating):
+            raise TraceError(f"{name}: found dtype {column.dtype}, expected float64")
+        bad = np.flatnonzero(~np.isfinite(column))
+        if len(bad):
+            raise TraceError(
+                f"{name}: found {column[bad[0]]} at index {bad[0]} ({len(bad)} in all), expected finite numbers"
+            )
     assert isinstance(times, np.ndarray)
     assert isinstance(values, np.ndarray)
     if len(times) != len(values):
         raise TraceError(f"{of_values}: found {len(values)} values, expected {len(times)}, one for each of the times")
-    problem = problem_of_order(times, rises=rises)
-    if problem:
-        raise TraceError(f"{of_times}: {problem}")
-
-
-def problem_of_column(column: object, count: int | None = None, *, is_finite: bool = True) -> str:
-    """What is wrong with a column of real numbers, in words; empty where nothing is.
-
-    Args:
-        column: anything. count: how many numbers are expected; None for any. is_finite: whether all have to be finite.
-    """
-    if not isinstance(column, np.ndarray):
-        return f"found {type(column).__name__}, expected a numpy array of shape (n,) and dtype float64"
-    if column.ndim != 1 or (count is not None and len(column) != count):
-        return f"found shape {column.shape}, expected ({'n' if count is None else count},)"
-    if not np.issubdtype(column.dtype, np.floating):
-        return f"found dtype {column.dtype}, expected float64"
-    bad = np.flatnonzero(~np.isfinite(column))
-    if is_finite and len(bad):
-        return f"found {column[bad[0]]} at index {bad[0]} ({len(bad)} in all), expected finite numbers"
-    return ""
-
-
-def problem_of_order(times: np.ndarray, *, rises: bool) -> str:
-    """What is wrong with the order of times, in words; empty where nothing is."""
     steps = np.diff(times)
     back = np.flatnonzero(steps <= 0.0 if rises else steps < 0.0)
-    if not len(back):
-        return ""
-    order = "strictly ascending" if rises else "ascending"
-    at = int(back[0]) + 1
-    return f"found {times[at]:.9g} s after {times[at - 1]:.9g} s at index {at}, expected {order} times"
+    if len(back):
+        at = int(back[0]) + 1
+        raise TraceError(
+            f"{of_times}: found {times[at]:.9g} s after {times[at - 1]:.9g} s at index {at}, expected "
+            f"{'strictly ' if rises else ''}ascending times"
+        )

@@ -142,7 +142,6 @@ def test_several_starts_leave_a_local_minimum() -> None:
     [
         ("coulomb_friction.force", {"coulomb_friction": {"force": 0.2}}, {}, 0.2),
         ("a0", {}, {}, 3.0336),
-        ("coil_time_constant", {}, {"coil_time_constant": 1.1e-3}, 1.1e-3),
     ],
 )
 def test_any_parameter_can_be_freed_by_name(

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 from plants.recording import train_profile
 
-from benchmarks.campaign.hard import CAMPAIGN, Case, cases
+from benchmarks.campaign.hard import CAMPAIGN, cases
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose, diagnose_plant
 from valve_sim.identification.plants.protocol import Array, Channel, EffectChoice, ForceMap, Nuisance, Role
@@ -19,10 +18,8 @@ from valve_sim.identification.reporting.diagnosis_json import to_json
 from valve_sim.identification.reporting.summary import recording_advice, summarise
 from valve_sim.model import Drive, Parameter
 from valve_sim.model.effects import basis
-from valve_sim.traces import Signal, read_trace
+from valve_sim.traces import Signal
 from valve_sim.traces.synthetic import Sensor, record
-
-BAGS = Path(__file__).parents[3] / "bags"
 
 
 def assert_sound(found: Diagnosis) -> None:
@@ -41,41 +38,6 @@ def assert_sound(found: Diagnosis) -> None:
         low, high = values["force_map.low"], values["force_map.high"]
         curve = basis(np.array(found.unexplained.at), low, high, count) @ coefficients
         assert found.unexplained.force == pytest.approx(curve)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    "bag",
-    [
-        "eight_strokes.mcap",
-        "live.mcap",
-        pytest.param(
-            "one_opening.mcap",
-            marks=pytest.mark.xfail(strict=True, raises=AssertionError, reason="one opening is said to lack nothing"),
-        ),
-        "friction",
-    ],
-)
-def test_of_the_shipped_bags_only_the_one_with_friction_gets_a_name(bag: str) -> None:
-    found = diagnose([read_trace(BAGS / bag)], [], default_valve())
-    assert_sound(found)
-    assert found.verdict.effects == (("coulomb_friction",) if bag == "friction" else ())
-    expected = {"friction": "effects", "one_opening.mcap": "insufficient"}
-    assert found.verdict.kind == expected.get(bag, "none")
-
-
-SLICE = ("noise-free, own", "noise-free, plant, with current", "coarse, no noise")
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    "case",
-    [pytest.param(case, id=case.kind) for case in cases() if case.kind in SLICE and case.seed == 1],
-)
-def test_a_slice_of_the_hard_recordings(case: Case) -> None:
-    found = diagnose(case.make(case.seed), [], case.declared)
-    assert found.verdict.kind in case.allowed
-    assert_sound(found)
 
 
 @pytest.mark.long

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from model.gas.cases import gas_valve
 from plants.recording import Recorder
 
-from identification.plants.test_gas import trace_of
 from identification.recordings import FINE, recorded
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.estimation.problem import Problem
@@ -54,18 +51,3 @@ def test_a_fit_to_few_rows_ends_where_one_to_all_samples_does(problem: Problem) 
     # What is asked of a fit beside its optimum is of every sample.
     assert few.residuals.shape == every.residuals.shape
     np.testing.assert_allclose(few.jacobian, every.jacobian, atol=1e-3 * float(np.max(np.abs(every.jacobian))))
-
-
-def test_a_plunger_that_creeps_is_read_at_more_samples() -> None:
-    trace = recorded(FINE)
-    late = np.maximum(trace.times - trace.drive.times[-1] - 8e-3, 0.0)
-    creeping = replace(trace, pilot_position=trace.pilot_position + 1e-3 * late)
-    still, moving = (Problem(ValvePlant([one], default_valve().exact())).condensed() for one in (trace, creeping))
-    assert len(moving.rows.residuals({})) > len(still.rows.residuals({})) + 100
-
-
-@pytest.mark.long
-def test_a_valve_with_gas_is_fitted_to_every_sample() -> None:
-    valve = gas_valve()
-    problem = Problem(ValvePlant([trace_of(valve)], valve)).condensed()
-    assert problem.rows is problem.every_row

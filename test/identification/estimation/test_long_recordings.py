@@ -1,9 +1,8 @@
-"""Recordings too long to hold all derivatives: pieces of a run, sums over them, and the fit by these alone."""
+"""Recordings too long to hold all derivatives: the fit by sums over pieces of a run alone."""
 
 from __future__ import annotations
 
 import tracemalloc
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -12,22 +11,14 @@ import pytest
 from identification.recordings import recorded
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.estimation import problem as problems
-from valve_sim.identification.estimation.noise import Noise
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants import valve_pieces
-from valve_sim.identification.plants.protocol import Direction
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.model import Valve
-from valve_sim.traces import Signal, Trace
+from valve_sim.traces import Trace
 
 BOTH = ("pilot_damping", "main_damping")
 USUAL_PIECES = valve_pieces.SAMPLES
-DIRECTIONS = [Direction({name: 1.0}, 1e-7) for name in (*BOTH, "clock_offset[0]")]
-COLOURED = {
-    "position": Noise(1e-6, 0.7e-6, (0.6, -0.2, 0.1), 0.0, 1000),
-    "current": Noise(1e-3, 0.9e-3, (0.3,), 0.0, 1000),
-}
 
 
 @pytest.fixture(scope="module")
@@ -38,44 +29,6 @@ def trace() -> Trace:
 @pytest.fixture(autouse=True)
 def _short_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(valve_pieces, "SAMPLES", 2)  # fewer than what colours the noise
-
-
-def with_delay(valve: Valve) -> Valve:
-    return Valve(valve.parameters, {"sensor_delay": {"delay": 0.3e-3}})
-
-
-# An offset of 0 puts samples at the very times of commands.
-@pytest.mark.parametrize("offset", [0.0, 3.7e-5])
-@pytest.mark.parametrize("is_late", [False, True])
-def test_pieces_are_to_the_last_digit_what_one_run_gives(trace: Trace, offset: float, is_late: bool) -> None:
-    valve = default_valve().exact()
-    # The current is sampled between the positions, and what it is does not matter here.
-    current = Signal(trace.times[::2] + 1e-5, np.cos(trace.times[::2]))
-    plant = ValvePlant([replace(trace, coil_current=current), trace], with_delay(valve) if is_late else valve)
-    values: Mapping[str, float] = {"pilot_damping": 1.1, "main_damping": 3.9, "clock_offset[0]": offset}
-    shown, derivatives = plant.predict(values), plant.sensitivities(values, DIRECTIONS).columns
-    pieces = list(plant.pieces(values, DIRECTIONS) or ())
-    for channel, (whole, columns) in enumerate(zip(shown, derivatives, strict=True)):
-        own = [piece for piece in pieces if piece.channel == channel]
-        assert len(own) > 2
-        assert np.array_equal(np.concatenate([piece.shown for piece in own]), whole)
-        assert np.array_equal(np.concatenate([piece.columns for piece in own]), columns)
-        assert [piece.start for piece in own] == np.cumsum([0, *(len(piece.shown) for piece in own[:-1])]).tolist()
-
-
-def test_sums_are_the_products_of_residuals_and_derivatives(trace: Trace) -> None:
-    plant = ValvePlant([trace], default_valve().exact())
-    kinds = {channel.kind for channel in plant.channels}
-    noises = {kind: noise for kind, noise in COLOURED.items() if kind in kinds}
-    problem = Problem(plant, lambda index, groups: groups != 1, noises)
-    values = {"pilot_damping": 1.1, "main_damping": 3.9, "clock_offset[0]": 1e-5}
-    residuals, (jacobian, _) = problem.residuals(values), problem.rows.sensitivities(values, DIRECTIONS)
-    sums = problem.rows.sums(values, DIRECTIONS)
-    assert sums is not None
-    assert sums.squares == pytest.approx(float(residuals @ residuals), rel=1e-12)
-    scale = np.sqrt(np.diag(jacobian.T @ jacobian))
-    assert np.allclose(sums.gradient / scale, jacobian.T @ residuals / scale, rtol=1e-11)
-    assert np.allclose(sums.information / np.outer(scale, scale), jacobian.T @ jacobian / np.outer(scale, scale))
 
 
 @pytest.mark.parametrize("free", [BOTH, (*BOTH, "coil_heating.temperature_rate")])

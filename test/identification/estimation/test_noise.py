@@ -13,7 +13,6 @@ from identification.recordings import FINE, recorded, still
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.estimation.noise import (
     estimate_noise,
-    quantisation_step,
     quiet_windows,
 )
 from valve_sim.identification.plants.protocol import Channel
@@ -48,16 +47,6 @@ def test_the_colour_is_found_and_taken_out(colour: float) -> None:
     white = noise.whiten(values)
     assert np.std(white) == pytest.approx(1.0, rel=0.02)
     assert abs(np.corrcoef(white[1:], white[:-1])[0, 1]) < 0.02
-
-
-def test_second_order_colour_is_found() -> None:
-    random = np.random.default_rng(4)
-    values = np.zeros(40_000)
-    for index, step in enumerate(random.standard_normal(len(values) - 2), start=2):
-        values[index] = 1.2 * values[index - 1] - 0.5 * values[index - 2] + step
-    noise = estimate_noise([still(1e-6 * values)])
-    np.testing.assert_allclose(noise.coefficients[:2], [1.2, -0.5], atol=0.03)
-    assert noise.innovation == pytest.approx(1e-6, rel=0.02)
 
 
 def test_noise_slower_than_the_autoregression_makes_the_innovation_larger() -> None:
@@ -107,21 +96,6 @@ def test_hum_that_is_estimated_along_is_no_noise(colour: float) -> None:
     assert estimate_noise(rests(values + hum)).sigma > 1.05 * beside.sigma
 
 
-def test_the_bias_of_a_long_recording_is_found_in_a_part_of_it() -> None:
-    values = coloured(1e-6, 0.9, 40_000)
-    whole = estimate_noise([replace(still(values), drifts=True)])
-    assert whole.coefficients[0] == pytest.approx(0.9, abs=0.01)
-
-
-@pytest.mark.parametrize("colour", [0.0, 0.7, 0.95])
-def test_where_nothing_hums_next_to_nothing_is_taken_off(colour: float) -> None:
-    for seed in range(2):
-        values = coloured(1e-6, colour, len(RESTS), seed)
-        asked, alone = estimate_noise(rests(values), may_hum=True), estimate_noise(rests(values))
-        assert asked.sigma == pytest.approx(alone.sigma, rel=0.05)
-        assert asked.innovation == pytest.approx(alone.innovation, rel=0.05)
-
-
 def test_the_tail_of_a_current_that_settles_is_no_noise() -> None:
     """As in a shorted coil: five to eight time constants after a change of 1 A, its tail is as large as the noise."""
     random, after = np.random.default_rng(6), np.linspace(5.0, 8.0, 250)
@@ -129,12 +103,6 @@ def test_the_tail_of_a_current_that_settles_is_no_noise() -> None:
     noise = estimate_noise([replace(still(window, "current"), drifts=True) for window in windows])
     assert noise.sigma == pytest.approx(1e-3, rel=0.05)
     assert noise.coefficients == ()
-
-
-@pytest.mark.parametrize("step", [0.1e-6, 1e-6, 5e-6])
-def test_the_quantisation_step_is_found(step: float) -> None:
-    values = step * np.round(coloured(4e-6, 0.0) / step)
-    assert quantisation_step(values) == pytest.approx(step, rel=1e-6)
 
 
 def test_a_coarse_sensor_is_no_better_than_its_step() -> None:

@@ -1,11 +1,10 @@
-"""Priors: densities that integrate to one, and what they add to a fit is their gradient."""
+"""Priors: densities that integrate to one, and which one every freed number has."""
 
 from __future__ import annotations
 
 import itertools
 import math
 
-import numpy as np
 import pytest
 from scipy.integrate import quad
 
@@ -13,15 +12,13 @@ from identification.selection.linear_plant import LinearPlant, measured
 from valve_sim.identification.estimation.priors import (
     HALF,
     Cauchy,
-    Elsewhere,
     Even,
     LogNormal,
     Normal,
     Prior,
     prior_of,
-    prior_of_nuisance,
 )
-from valve_sim.identification.plants.protocol import EffectChoice, Nuisance
+from valve_sim.identification.plants.protocol import EffectChoice
 from valve_sim.model import Parameter
 
 NORMAL, CAUCHY, ONE_SIDED = Normal(0.3, 0.02), Cauchy(-1.0, 0.4), Cauchy(2.0, 0.4, HALF)
@@ -45,43 +42,6 @@ def test_a_density_integrates_to_one(prior: Prior, pieces: tuple[float, ...]) ->
         for low, high in itertools.pairwise(pieces)
     ]
     assert sum(parts) == pytest.approx(1.0, abs=1e-6)
-
-
-@pytest.mark.parametrize("prior", [NORMAL, CAUCHY, ONE_SIDED, LOG_NORMAL, EVEN], ids=lambda own: type(own).__name__)
-@pytest.mark.parametrize("share", [0.5, 1.0, 1.7, 6.0])
-def test_what_it_adds_to_a_fit_is_twice_the_logarithm_of_the_density(prior: Prior, share: float) -> None:
-    """Of a log-normal value: of the density of its logarithm, in which the evidence is worked out."""
-    at, step = 2.2 * share, 1e-5
-
-    def twice(place: float) -> float:
-        jacobian = math.log(place) if isinstance(prior, LogNormal) else 0.0
-        return -2.0 * (prior.log_density(place) + jacobian)
-
-    assert prior.pull(at).cost - prior.pull(1.1).cost == pytest.approx(twice(at) - twice(1.1), rel=1e-9, abs=1e-9)
-    slope = (twice(at + step) - twice(at - step)) / (2.0 * step)
-    assert 2.0 * prior.pull(at).half_slope == pytest.approx(slope, rel=1e-5, abs=1e-8)
-    assert prior.pull(at).curvature >= 0.0
-
-
-@pytest.mark.parametrize("at", [-1.0, -0.9, 0.5, 30.0])
-def test_the_parabola_of_a_cauchy_density_touches_its_cost_from_above(at: float) -> None:
-    """A step to the parabola's minimum then never raises the cost, and a fit by such steps descends."""
-    here = CAUCHY.pull(at)
-    for other in np.linspace(-40.0, 40.0, 161).tolist():
-        move = other - at
-        above = here.cost + 2.0 * here.half_slope * move + here.curvature * move**2
-        assert CAUCHY.pull(other).cost <= above + 1e-9
-
-
-def test_half_of_a_density_is_twice_as_high() -> None:
-    whole = Cauchy(ONE_SIDED.centre, ONE_SIDED.scale)
-    assert ONE_SIDED.log_density(3.0) - whole.log_density(3.0) == pytest.approx(math.log(2.0))
-
-
-def test_a_prior_that_is_stated_elsewhere_adds_nothing() -> None:
-    assert Elsewhere().log_density(3.0) == 0.0
-    assert Elsewhere().pull(3.0) == (0.0, 0.0, 0.0)
-    assert prior_of_nuisance(Nuisance("clock", 2e-5, "s", mean=1e-5)) == Normal(1e-5, 2e-5)
 
 
 class Declared(LinearPlant):

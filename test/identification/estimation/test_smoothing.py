@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from valve_sim.identification.estimation.smoothing import DIFFERS, Smoothness
+from valve_sim.identification.estimation.smoothing import Smoothness
 from valve_sim.model.effects import basis
 
 COUNT = 40
@@ -75,54 +75,3 @@ def test_a_band_holds_a_narrow_bump() -> None:
     assert np.mean(held) > 0.92
     everywhere = [float(np.mean(np.abs(one.curve - bump) < 2.0 * one.stderr)) for one in found]
     assert 0.92 < np.mean(everywhere) < 0.99
-
-
-def test_neighbouring_weights_do_not_run_apart() -> None:
-    """Else a curve is a chain of straight pieces that seems certain where it is straight."""
-    for seed in range(4):
-        weights = np.log(fitted(0.4 * BUMP, PLACES, seed).smooth.weights)
-        assert np.max(np.abs(np.diff(weights))) < 2.0 * DIFFERS
-
-
-def test_where_a_curve_is_flat_it_is_flatter_than_where_it_bends() -> None:
-    curve, *_ = fitted(BUMP, PLACES, 1)
-    flat = PLACES > 0.7
-    assert np.sqrt(np.mean((curve - BUMP)[flat] ** 2)) < 0.15 * NOISE
-    assert curve.max() == pytest.approx(1.0, abs=NOISE)
-
-
-def test_without_a_curve_behind_the_data_hardly_anything_is_fitted() -> None:
-    curve, *_ = fitted(np.zeros(len(PLACES)), PLACES, 3)
-    assert np.sqrt(np.mean(curve**2)) < 0.15 * NOISE
-
-
-def test_a_weight_changes_by_little_in_one_step() -> None:
-    information = 1e8 * np.eye(COUNT)
-    smooth = Smoothness(tuple(f"c{number}" for number in range(COUNT)), -np.inf)
-    gradient = 1e8 * np.random.default_rng(0).standard_normal(COUNT)
-    once = smooth.chosen(information, gradient, np.zeros(COUNT), np.arange(COUNT))
-    assert max(once.weights) / min(smooth.weights) <= 30.0 * (1 + 1e-9)
-    assert min(once.weights) / max(smooth.weights) == pytest.approx(1 / 30.0)
-
-
-def test_a_curve_that_all_else_can_take_the_place_of_has_weights_all_the_same() -> None:
-    shapes = 3e4 * basis(PLACES, 0.0, 1.0, COUNT)
-    # What else is fitted has units of its own, so that one of them is known much better than the others.
-    beside = np.column_stack([3e9 * np.cos(40 * PLACES), shapes])
-    columns = np.column_stack([beside, shapes])
-    measured = 3e4 * (BUMP + NOISE * np.random.default_rng(4).standard_normal(len(PLACES)))
-    where = np.arange(COUNT + 1, 2 * COUNT + 1)
-    smooth = Smoothness(tuple(f"c{number}" for number in where), -np.inf)
-    # Of the curve's own information rounding is left, of either sign.
-    chosen = smooth.chosen(columns.T @ columns, -columns.T @ measured, np.zeros(2 * COUNT + 1), where)
-    assert np.all(np.isfinite(chosen.weights))
-
-
-def test_a_curve_whose_bends_overflow_has_a_band_all_the_same() -> None:
-    """What is linearised far from the data may say so; the weights are then as uncertain as they can be."""
-    where = np.arange(20)
-    smooth = Smoothness(tuple(f"c{number}" for number in where), -np.inf)
-    gradient = 1e160 * np.sin(where)
-    covariance = smooth.covariance(np.eye(20), gradient, np.zeros(20), where)
-    assert covariance.shape == (20, 20)
-    assert np.all(np.isfinite(covariance)) and np.all(np.diag(covariance) > 0.0)

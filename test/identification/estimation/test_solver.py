@@ -13,8 +13,7 @@ from scipy.optimize import least_squares
 from identification.diagnosis.test_sound_verdicts import Decay
 from identification.recordings import TRUTH, one_opening, recorded
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.estimation.budget import Budget
-from valve_sim.identification.estimation.descent import TRIAL, Descent, SolverOptions
+from valve_sim.identification.estimation.descent import Descent
 from valve_sim.identification.estimation.intervals import Unbounded, covariance_interval, profile_interval
 from valve_sim.identification.estimation.priors import Cauchy
 from valve_sim.identification.estimation.problem import Problem
@@ -24,7 +23,6 @@ from valve_sim.identification.plants.protocol import (
     Sensitivities,
     from_internal,
     internal_bounds,
-    to_internal,
 )
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import CATALOGUE, DECLARED, SimulationError, Tolerances, Valve, simulate
@@ -55,50 +53,6 @@ def test_it_finds_the_optimum_that_scipy_finds(problem: Problem) -> None:
     assert ours.chi2 == pytest.approx(2.0 * theirs.cost, abs=0.02)
     for name, value in zip(BOTH, theirs.x, strict=False):
         assert abs(ours.values[name] - value) < 0.1 * ours.stderr(name)
-
-
-def test_a_fit_that_cannot_reach_its_goal_is_given_up(problem: Problem) -> None:
-    afar = {"pilot_damping": 0.05, "main_damping": 20.0}
-    whole = fit(problem, BOTH, afar)
-    begun = fit(problem, BOTH, afar, effort=SolverOptions(most=2))
-    assert not begun.converged
-    assert begun.chi2 > whole.chi2 + 1.0
-    # What it would have to gain is a thousand times what a step would gain.
-    hopeless = fit(problem, BOTH, begun.values, effort=SolverOptions(goal=-1e3 * begun.chi2, made=TRIAL))
-    assert hopeless.values == pytest.approx(begun.values, rel=1e-12)
-    assert not hopeless.converged
-    # A goal within reach changes nothing.
-    again = fit(problem, BOTH, begun.values, effort=SolverOptions(goal=whole.chi2, made=TRIAL))
-    assert again.converged
-    assert again.chi2 == pytest.approx(whole.chi2, abs=0.02)
-
-
-@pytest.mark.parametrize("is_dropped", [False, True])
-def test_a_fit_that_ended_early_is_gone_on_with(problem: Problem, is_dropped: bool) -> None:
-    afar = {"pilot_damping": 0.05, "main_damping": 20.0}
-    whole = fit(problem, BOTH, afar, nuisances=problem.plant.nuisances)
-    begun = fit(problem, BOTH, afar, nuisances=problem.plant.nuisances, effort=SolverOptions(most=2))
-    assert whole.chi2 > begun.chi2_lower_bound
-    if is_dropped:
-        begun.derivatives.drop()
-    on = fit(problem, BOTH, begun, nuisances=problem.plant.nuisances, effort=SolverOptions(made=2))
-    assert on.converged
-    assert on.values == pytest.approx(whole.values, rel=1e-9)
-    assert on.chi2 == pytest.approx(whole.chi2, rel=1e-12)
-    assert on.damping == whole.damping < begun.damping
-
-
-def test_a_jacobian_that_was_dropped_is_worked_out_again_even_when_the_work_is_used_up() -> None:
-    problem = Problem(ValvePlant([recorded()], EXACT_VALVE), budget=Budget(1.0))
-    found = fit(problem, BOTH, {}, nuisances=problem.plant.nuisances)
-    before = found.jacobian
-    assert found.jacobian is before
-    assert problem.budget.is_used_up
-    spent = problem.budget.spent
-    found.derivatives.drop()
-    assert found.jacobian is not before
-    np.testing.assert_allclose(found.jacobian, before, rtol=1e-9, atol=1e-9 * float(np.max(np.abs(before))))
-    assert problem.budget.spent == spent
 
 
 def test_profile_and_covariance_agree_where_the_data_hold_a_parameter(problem: Problem) -> None:
@@ -148,15 +102,6 @@ def test_held_out_samples_take_no_part() -> None:
         assert abs(found.values[name] - truth) < 4.0 * found.stderr(name)
 
 
-@pytest.mark.parametrize("effect", list(CATALOGUE))
-def test_search_coordinates_lead_back(effect: str) -> None:
-    for parameter in CATALOGUE[effect].parameters:
-        value = parameter.prior_scale
-        assert from_internal(parameter, to_internal(parameter, value)) == pytest.approx(value, rel=1e-12)
-        if parameter.off is not None:
-            assert from_internal(parameter, to_internal(parameter, parameter.off)) == parameter.off
-
-
 def test_what_cannot_be_simulated_is_an_error(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(values: object) -> None:
         raise SimulationError("no")
@@ -178,12 +123,6 @@ def test_derivatives_that_are_too_large_to_be_squared_are_an_error() -> None:
     problem = Problem(Steep("current", "A", Decay("current", "A").predict({"gain": 1.3})))
     with pytest.raises(SimulationError, match="derivatives are too large"):
         fit(problem, ("gain",), {})
-
-
-class ByQuotients(ValvePlant):
-    """The valve without derivatives of its own."""
-
-    sensitivities = None  # type: ignore[assignment]
 
 
 def tolerant() -> Valve:
@@ -235,15 +174,3 @@ def test_derivatives_of_the_plant_are_those_of_small_differences(effect: str | N
         step = size(search, column) * (np.arange(len(at)) == column)
         expected = (residuals(search, at + step) - residuals(search, at - step)) / (2.0 * step[column])
         assert np.linalg.norm(jacobian[:, column] - expected) < 1e-5 * np.linalg.norm(expected), search.values(at)
-
-
-def test_where_the_plant_knows_none_difference_quotients_stand() -> None:
-    """A lag of 0 is off, and acts at once on one side of it."""
-    found = []
-    for kind in (ValvePlant, ByQuotients):
-        search, at = searched(kind([recorded()], EXACT_VALVE), "eddy_lag")
-        lag = search.free.index("eddy_lag.time_constant")
-        at[lag] = to_internal(CATALOGUE["eddy_lag"].parameter("time_constant"), 0.0)
-        found.append(search.jacobian(at, residuals(search, at))[:, lag])
-    assert np.any(found[0])
-    assert np.array_equal(*found)

@@ -114,10 +114,6 @@ def test_a_table_that_begins_away_from_the_seat_is_said_to_extrapolate(tmp_path:
     assert any("begins at 200 µm" in sentence for sentence in remarks(result.findings))
 
 
-def test_a_whole_table_needs_no_warning_but_on_the_start(tmp_path: Path):
-    assert [type(finding) for finding in fit_static_force(table(tmp_path), default_valve()).findings] == [StartOfMotion]
-
-
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -137,24 +133,6 @@ def test_unusable_tables_are_refused_by_name(tmp_path: Path, text: str, words: s
     with pytest.raises(TableError, match=words) as refusal:
         fit_static_force(path, default_valve())
     assert str(path) in str(refusal.value)
-
-
-LOAD_CELL = "# Stand;3\nZeit;Weg;Kraft\ns;mm;g\n" + "".join(
-    f"{row};{12.5 - 0.1 * row:g};{1000.0 + 100.0 * row:g}\n".replace(".", ",") for row in range(8)
-)
-"""From 12.5 mm downwards, in grams on a load cell with a tare of 1000 g."""
-LOAD_CELL_MAP = (
-    "displacement: {column: Weg, unit: mm, sign: -1, offset: 12.5}\n"
-    "force: {column: Kraft, unit: kgf, scale: 0.001, offset: -1.0}\n"
-)
-
-
-def mapped(folder: Path, text: str = LOAD_CELL, words: str = LOAD_CELL_MAP) -> tuple[Path, Path]:
-    """A table of a load cell and its map."""
-    path, own = folder / "load_cell.csv", folder / "load_cell.yaml"
-    path.write_text(text)
-    own.write_text(words)
-    return path, own
 
 
 @pytest.mark.parametrize(

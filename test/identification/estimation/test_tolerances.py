@@ -12,10 +12,7 @@ from valve_sim.identification.diagnosis.identify import identify
 from valve_sim.identification.estimation.declared_values import out_of_tolerance
 from valve_sim.identification.estimation.findings import LacksSomething
 from valve_sim.identification.estimation.problem import Problem
-from valve_sim.identification.estimation.solver import fit
-from valve_sim.identification.plants.tolerances import principal_axes
-from valve_sim.identification.plants.valve import DAMPINGS, ValvePlant
-from valve_sim.identification.plants.valve_model import ValveModel
+from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.declared_values import TAKEN_AS_EXACT, declared_lines
 from valve_sim.identification.selection.prediction import HeldOut, machine_values
 from valve_sim.identification.validation.replay import validate
@@ -50,20 +47,6 @@ def identified(training):
     return identify([training], declared_valve(exact=False))
 
 
-def test_what_a_wrong_polynomial_is_by_itself_is_its_closest_look_alike(training):
-    """An attraction that is off at rest is its first coefficient; springs and loads only stand in for that."""
-    alike = ValvePlant([training], declared_valve(exact=False)).effects["valve.attraction_polynomial"].confused_with
-    assert alike[0] == "rest_attraction"
-    assert alike.index("drive_gain") < alike.index("valve.spring_rate") < alike.index("valve.seat_load")
-
-
-def test_a_valve_without_tolerances_has_the_nuisances_that_it_had(training):
-    exact = ValvePlant([training], declared_valve(exact=True))
-    assert [nuisance.name for nuisance in exact.nuisances] == ["clock_offset[0]", "clock_rate[0]"]
-    # What is declared as exact may be wrong all the same.
-    assert exact.effects["valve.spring_preload"].is_declared_value
-
-
 def test_declared_values_that_are_off_leave_the_dampings_within_their_intervals(identified):
     for name, true in DAMPED.items():
         assert identified.intervals[name].low < true < identified.intervals[name].high
@@ -88,60 +71,6 @@ def test_what_the_data_determine_is_found_to_be_off(identified):
         # The data say more of it than the data sheet does.
         assert error < 0.5 * result.nuisances[index - len(result.free)].sigma
     assert np.all(np.abs(result.deviations) < 3.0)
-
-
-def test_a_value_that_is_freed_has_no_prior(training):
-    plant = ValvePlant([training], declared_valve(exact=False))
-    result = fit(Problem(plant), (*DAMPINGS, "spring_preload"), {}, nuisances=plant.nuisances)
-    assert "spring_preload" not in [nuisance.name for nuisance in result.nuisances]
-    assert "spring_rate" in [nuisance.name for nuisance in result.nuisances]
-
-
-def test_two_bodies_are_weighed():
-    model = ValveModel(declared_valve(exact=False))
-    heavier = model.with_values({"pilot_mass": 0.110}).parameters
-    assert heavier.moving_mass == pytest.approx(0.110 + 0.025, abs=1e-12)
-    assert model.with_values({"main_mass": 0.026}).parameters.moving_mass == pytest.approx(0.109 + 0.026, abs=1e-12)
-
-
-def test_the_polynomial_moves_along_the_axes_of_its_covariance():
-    valve = declared_valve(exact=False)
-    axes = principal_axes(valve.tolerances)
-    wanted = np.array(valve.tolerances.attraction_covariance)
-    scale = np.sqrt(np.outer(np.diag(wanted), np.diag(wanted)))
-    np.testing.assert_allclose(axes @ axes.T / scale, wanted / scale, atol=1e-9)
-    names = [f"attraction[{axis}]" for axis in range(axes.shape[1])]
-    moved = ValveModel(valve).with_values(dict(zip(names, (1.0, -2.0, 0.5, 0.1), strict=True))).parameters
-    change = np.array(moved.attraction_polynomial) - valve.parameters.attraction_polynomial
-    np.testing.assert_allclose(change, axes @ np.array([1.0, -2.0, 0.5, 0.1]), rtol=1e-12)
-
-
-def test_a_covariance_of_two_directions_has_two_axes():
-    directions = np.array([[0.1, 5.0, 0.0, 0.0], [0.0, 40.0, -3e4, 2e7]])
-    tolerances = {"attraction_covariance": (directions.T @ directions).ravel().tolist()}
-    valve = Valve.from_mapping({"tolerances": tolerances}, "here")
-    assert [nuisance.name for nuisance in ValveModel(valve).nuisances] == ["attraction[0]", "attraction[1]"]
-
-
-def test_the_gap_stays_below_the_stroke():
-    tolerances = {"pilot_gap": 4e-4, "stroke": 2e-4}
-    gap, stroke = ValveModel(Valve.from_mapping({"tolerances": tolerances}, "here")).nuisances
-    assert gap.bounds[0] > 0.0
-    assert gap.bounds[1] < stroke.bounds[0]
-
-
-def test_a_difference_quotient_of_a_tolerance_is_accurate(training):
-    """The step, a share of the tolerance, is neither so short that the integrator's errors show nor too long."""
-    plant = ValvePlant([training], declared_valve(exact=False))
-    problem = Problem(plant)
-    base = problem.residuals({})
-    for nuisance in plant.nuisances:
-        if nuisance.is_of_machine:
-            forward = (problem.residuals({nuisance.name: nuisance.mean + nuisance.step}) - base) / nuisance.step
-            wide = 5.0 * nuisance.step
-            there, back = (problem.residuals({nuisance.name: nuisance.mean + move}) for move in (wide, -wide))
-            central = (there - back) / (2.0 * wide)
-            assert np.linalg.norm(forward - central) < 0.05 * np.linalg.norm(central), nuisance.name
 
 
 def test_held_out_strokes_are_predicted_within_what_training_leaves_open(identified):

@@ -12,12 +12,8 @@ from identification.live_strokes import LiveValve, feed
 from identification.one_thread import Monitor
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.monitoring.command_timing import (
-    UNINFORMATIVE,
-    ArrivalSpread,
     CommandScatter,
     StrokeTiming,
-    level_for,
-    scatter_levels,
 )
 from valve_sim.identification.monitoring.fault_isolation import isolate_fault
 from valve_sim.identification.monitoring.findings import (
@@ -112,36 +108,6 @@ def test_a_lasting_delay_is_no_scatter_at_any_of_several_voltages() -> None:
     shifts = zip([0.0, 2e-3] * 4, 2 * levels, strict=True)
     coming = [scatter.add(timed(shift, volts=volts)[0]) for shift, volts in shifts]
     assert min(coming[1:]) > 4.0 * QUIET
-
-
-def test_samples_that_come_in_unevenly_widen_at_once() -> None:
-    scatter = CommandScatter(QUIET, timed(*[0.0] * 20, arrival=1e-3))
-    assert scatter.add(timed(0.0, arrival=1e-3)[0]) == QUIET
-    assert scatter.add(timed(0.0, arrival=20e-3)[0]) == pytest.approx(20 * QUIET)
-    for _ in range(20):
-        scatter.add(timed(0.0, arrival=1e-3)[0])
-    assert scatter.sigma == QUIET
-
-
-def test_arrivals_know_no_offset_of_clocks_and_forget() -> None:
-    arrivals = ArrivalSpread()
-    assert arrivals.spread == 0.0
-    for time in np.arange(0.0, 5.0, 0.01).tolist():
-        arrivals.add(time, 1e6 + (0.03 if math.isclose(time, 1.0) else 0.001))
-    arrivals.add(5.0, math.nan)
-    assert arrivals.spread == pytest.approx(0.029, abs=1e-6)
-    for time in np.arange(5.0, 17.0, 0.01).tolist():
-        arrivals.add(time, 1e6 + 0.001)
-    assert arrivals.spread == 0.0
-
-
-def test_the_next_wider_level_is_allowed_and_nothing_is_said_beyond_the_last() -> None:
-    levels = scatter_levels(QUIET, 10e-3)
-    assert levels == pytest.approx((0.05e-3, 0.1e-3, 0.2e-3, 0.4e-3, 0.8e-3, UNINFORMATIVE))
-    assert level_for(QUIET, levels) == QUIET
-    assert level_for(0.11e-3, levels) == pytest.approx(0.2e-3)
-    assert level_for(0.9e-3, levels) == UNINFORMATIVE
-    assert scatter_levels(2e-3, 10e-3) == (UNINFORMATIVE,)
 
 
 def stuck(segmenter: StrokeSegmenter, begin: float, hold: float, position: float, late: float) -> StrokeRecord:

@@ -37,10 +37,7 @@ def course(build: Build, volts: float) -> Course:
 
 
 class Coil:
-    """Strokes of a plant one after another; each command comes late by as much as a busy machine makes of it.
-
-    Without a measured voltage, which dates commands, they come in time.
-    """
+    """Strokes of a plant; each command comes late, but where no voltage is measured, which dates commands."""
 
     def __init__(self, monitor: Monitor, *, has_voltage: bool = True) -> None:
         self._monitor = monitor

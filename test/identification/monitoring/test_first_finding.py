@@ -18,7 +18,6 @@ from valve_sim.identification.monitoring.fault_isolation import FaultFinding, is
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.monitoring.shared_delay import SharedDelay
 from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
-from valve_sim.identification.reporting.monitoring_words import shared_delay_words
 
 HEALTHY = {"pilot_damping": 1.3, "main_damping": 3.5}
 COMMISSIONING = 10
@@ -65,14 +64,6 @@ def test_the_strokes_of_a_fault_are_isolated_without_those_before_it() -> None:
     assert sizes[:2] == [6, 8]
 
 
-@pytest.mark.parametrize(
-    ("scores", "first"),
-    [([0.2, 2.6, -0.4, 4.4, 5.0, 4.1], 3), ([5.0, 4.0, 4.5], 0), ([0.1, -0.2, 0.3, 6.0], 3), ([1.0], 0), ([], 0)],
-)
-def test_the_likeliest_change_is_where_the_mean_changes(scores: list[float], first: int) -> None:
-    assert likeliest_change(scores) == first
-
-
 def test_the_likeliest_change_of_random_scores_is_within_a_stroke_of_the_true_one() -> None:
     random, misses = np.random.default_rng(5), 0
     for _ in range(200):
@@ -110,12 +101,6 @@ def test_a_shared_delay_is_of_both_commands_of_strokes_in_a_row_and_none_where_t
     for opening, closing, is_dated in ((0.7e-3, 0.0, False), (0.7e-3, 0.5e-3, True)):
         shared = SharedDelay(JITTER, healthy)
         assert [shared.add(late(opening, closing), is_dated=is_dated) for _ in range(4)] == [0.0] * 4
-
-
-def test_a_shared_delay_is_told_with_what_would_tell_its_cause() -> None:
-    assert shared_delay_words(-0.6e-3) == (
-        "commands are obeyed 600 µs sooner than when commissioned: a clock, a load, or the valve; hear ~/coil to tell"
-    )
 
 
 @pytest.mark.long

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -200,9 +199,3 @@ def test_commands_of_strokes_that_could_not_be_compared_are_known_to_those_after
     assert drive.volts.tolist() == expected
     times = before.epoch_ns / 1e9 + drive.times
     assert times.tolist() == pytest.approx([time for time, _ in recorded(healthy=1, faulty=4, **CLOGGED).commands[4:]])
-
-
-def test_without_gas_there_is_no_lift_to_start_from():
-    trace = strokes_of(recorded(healthy=1, faulty=4, **LEAKING))[1].trace
-    assert set(starts_by_lift(trace, VALVE)) == {"seat_leak", "pilot_clogging"}
-    assert starts_by_lift(trace, replace(VALVE, gas=None)) == {}

@@ -61,12 +61,7 @@ def test_what_cannot_be_used_is_left_out(sample: tuple[float, float]) -> None:
 
 
 def strokes_of(valve: Valve, openings: Sequence[float], *, is_heard: bool = True) -> list[StrokeRecord]:
-    """Strokes as the monitor of the second tank's valve cuts them out, of a valve that is not as declared.
-
-    Args:
-        valve: that moves. openings: s, when each stroke begins; it is held open for 150 ms.
-        is_heard: whether the pressure in its pipe is measured, at 100 Hz.
-    """
+    """Strokes as the monitor of the second tank's valve cuts them out; the pressure is heard at 100 Hz, or not."""
     plant, segmenter = Stepper(valve), StrokeSegmenter(TANK, MonitorSettings())
     commands = [command for opening in openings for command in ((opening, 9.0), (opening + 0.15, 0.0))]
     for index in range(1, round((openings[-1] + 0.3) / STEP)):

@@ -8,10 +8,7 @@ from plants.declared import CAMPAIGN_VALVE
 
 from identification.live_strokes import LiveValve, feed
 from identification.one_thread import Monitor
-from valve_sim.identification.estimation.intervals import Interval
-from valve_sim.identification.monitoring.fault_isolation import estimates
 from valve_sim.identification.monitoring.findings import StrokeState
-from valve_sim.identification.monitoring.memory import load_commissioning, save_commissioning
 from valve_sim.identification.plants.commissioned import CommissionedPlant
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import Drive, Valve
@@ -49,18 +46,6 @@ def test_commissioning_finds_the_valve_as_it_is(commissioned):
     assert np.mean(watched) == pytest.approx(1.0, abs=0.1)
 
 
-def test_what_commissioning_leaves_open_is_known_beside_a_fault(commissioned):
-    baseline = commissioned[0].stroke_monitor.baseline
-    times = np.arange(0.0, 0.03, 1e-4)
-    trace = Trace("a stroke", Drive.of([1e-3], [9.0]), times, np.zeros_like(times))
-    plant = CommissionedPlant(trace, baseline.commissioned, baseline.scatter)
-    errors = [nuisance for nuisance in plant.nuisances if nuisance.name.startswith("commissioning_error")]
-    assert len(errors) == len(baseline.estimated)
-    moved = np.array([plant.predict({error.name: error.sigma})[0] - plant.predict({})[0] for error in errors])
-    # The data have pinned them together: whatever moves within what is left moves the stroke by hardly more than noise.
-    assert 0.0 < np.max(np.abs(moved)) < 20e-6
-
-
 def test_what_a_valve_is_built_with_is_no_fault_of_a_commissioned_one(commissioned):
     baseline = commissioned[0].stroke_monitor.baseline
     times = np.arange(0.0, 0.03, 1e-4)
@@ -80,24 +65,3 @@ def test_a_declared_effect_of_another_size_bears_its_own_name_and_not_that_of_a_
     assert effects["drive_gain"].parameters[0].off == 0.95
     assert "valve.reference_voltage" not in effects
     assert "motional_emf" not in effects
-
-
-def test_a_declared_value_is_reported_by_the_name_that_a_fit_frees():
-    trace = Trace("at rest", Drive.of([1e-3], [9.0]), np.arange(0.0, 0.01, 1e-4), np.zeros(100))
-    plant = ValvePlant([trace], declared({**TOLERANCES, "spring_rate": 12.8}))
-    off, on = Interval(430.0, 3.0, 424.0, 436.0), Interval(500.0, 3.0, 494.0, 506.0)
-    force = Interval(0.2, 0.01, 0.18, 0.22)
-    found = estimates(
-        ("coulomb_friction", "valve.spring_rate", "valve.moving_mass"), plant,
-        {"coulomb_friction.force": force, "spring_rate": on, "main_mass": off, "main_damping": on},
-    )  # fmt: skip
-    assert found == {"coulomb_friction.force": force, "valve.spring_rate": on, "valve.main_mass": off}
-
-
-def test_a_commissioning_is_kept_with_its_declared_values(commissioned, tmp_path):
-    kept, valve = commissioned[0].stroke_monitor.commissioning, declared(TOLERANCES)
-    save_commissioning(tmp_path / "kept.json", kept, valve)
-    again = load_commissioning(tmp_path / "kept.json", valve)
-    assert again.baseline.valve == kept.baseline.valve
-    assert again.baseline.estimated == kept.baseline.estimated
-    np.testing.assert_array_equal(again.baseline.covariance, kept.baseline.covariance)

@@ -10,7 +10,6 @@ from model.gas.cases import gas_valve
 
 from valve_sim.identification.diagnosis.identify import check_free, identify
 from valve_sim.identification.estimation.declared_values import out_of_tolerance
-from valve_sim.identification.plants.effect_titles import named_value, title_of, what_is_missing
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.plants.valve_model import ValveModel
 from valve_sim.model import Drive, ParameterError, Tolerances, Valve, simulate
@@ -60,13 +59,6 @@ def test_a_number_of_gas_with_a_tolerance_is_a_nuisance_and_may_be_wrong() -> No
     (larger,) = model.effects["gas.pilot_orifice_diameter"].parameters
     assert (larger.off, larger.lower) == (0.2e-3, 0.2e-3)
     assert model.with_values({"gas.outlet_volume": 2e-5}).gas.outlet_volume == 2e-5  # type: ignore[union-attr]
-
-
-def test_words_for_people() -> None:
-    plant = ValvePlant([trace_of(declared())], declared())
-    assert title_of("gas.outlet_volume") == "Wrong outlet volume"
-    assert what_is_missing(("gas.outlet_volume", "seat_leak")) == "lacks leaking seat and has a wrong outlet volume"
-    assert named_value(plant, "gas.outlet_volume") == ("outlet volume", "m³")
 
 
 def test_a_fit_estimates_along_what_has_a_tolerance() -> None:

@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose_plant
-from valve_sim.identification.estimation.errors import ERRORS
-from valve_sim.identification.estimation.structured_noise import seen_by, structured_noise
 from valve_sim.identification.plants.protocol import (
-    MACHINE_ERRORS,
-    SENSOR_ERRORS,
     Array,
     Channel,
     EffectChoice,
     Nuisance,
     Sensor,
 )
-from valve_sim.identification.plants.variation import group_factors, group_variations, stroke_of
+from valve_sim.identification.plants.variation import group_factors, group_variations
 from valve_sim.model import Parameter
 
 INTERVAL, CYCLES, CYCLE = 0.02, 8, 400
@@ -38,11 +34,7 @@ PARAMETERS = {
 
 
 class Lag:
-    """T' = (gain · max(power − dead band, 0) − T − radiation · T²)/time constant, from 0 at the beginning.
-
-    Args:
-        data: what the thermometer showed. sensor: of it; None: it does not err. varies: whether the gain does by cycle.
-    """
+    """T' = (gain · max(power − dead band, 0) − T − radiation · T²)/time constant, from 0 at the beginning."""
 
     base = ("gain", "time_constant")
     nuisances: Sequence[Nuisance] = ()
@@ -196,67 +188,3 @@ def test_a_gain_is_reported_as_a_share_of_what_is_shown_with_its_sign(gain: floa
     assert own.unit == "–"
     assert own.size == pytest.approx(gain, abs=5e-4)
     assert own.probability > 0.99
-
-
-def test_names_of_errors_are_those_of_the_errors_there_are() -> None:
-    assert set(SENSOR_ERRORS) == {own.name for own in ERRORS if own.columns is not None}
-    assert set(MACHINE_ERRORS) == {own.name for own in ERRORS if own.columns is None and not own.is_known}
-
-
-def test_knots_are_where_groups_begin_and_half_way() -> None:
-    (channel,) = Lag(np.zeros(CYCLES * CYCLE)).channels
-    seen = seen_by(Sensor(SPAN, low=LOW), channel, channel.data, ())
-    assert (seen.span, seen.low) == (SPAN, LOW)
-    np.testing.assert_allclose(seen.knots[:4], [0.0, 4.0, 8.0, 12.0])
-    assert seen.knots[-1] == channel.times[-1]
-
-
-def test_what_varies_has_a_factor_in_each_group_and_one_size() -> None:
-    first, second = Lag(np.zeros(CYCLES * CYCLE)).channels * 2
-    other = replace(second, recording=1)
-    found = group_variations([first, other], {"gain": 0.05})
-    assert len(found) == 2 * CYCLES
-    assert {own.group for own in found} == {"gain[0]"}
-    assert [own.channels for own in found] == [(0,)] * CYCLES + [(1,)] * CYCLES
-    assert found[0].during == (0.0, 8.0)
-    assert found[CYCLES - 1].during == (56.0, np.inf)
-    assert stroke_of(found[CYCLES + 3].name) == 3
-    factors = group_factors(other, "gain", {found[CYCLES + 3].name: 0.1, found[2].name: 0.5})
-    assert sorted(set(factors.tolist())) == [1.0, 1.1]
-    assert np.all((factors > 1.0) == (other.group == 3))
-    assert group_variations([replace(first, group=np.zeros_like(first.group))], {"gain": 0.05}) == ()
-
-
-def test_drift_is_read_at_rest_only_where_the_model_is_right_there_and_most_strokes_rest() -> None:
-    plant = Lag(np.zeros(CYCLES * CYCLE))
-    found = structured_noise(plant, {}, {})
-    assert found is not None
-    assert all(own.shows_rest for own in found.groups if own.error.at_rest)
-    elsewhere = structured_noise(Lag(plant.channels[0].data, SENSOR._replace(is_true_at_rest=False)), {}, {})
-    assert elsewhere is not None
-    assert not any(own.is_read for own in elsewhere.with_read(elsewhere.sizes).groups)
-    (channel,) = plant.channels
-    for most in (0, CYCLES // 2):
-        plant.channels = (replace(channel, quiet=channel.quiet & (channel.group < most)),)
-        rarely = structured_noise(plant, {}, {})
-        assert rarely is not None
-        assert not any(own.is_read for own in rarely.with_read(rarely.sizes).groups)
-
-
-def test_strokes_whose_errors_are_alike_share_them_whether_they_rest_or_not() -> None:
-    plant = two_alike()
-    first, second = plant.channels
-    plant.channels = (first, replace(second, quiet=np.zeros_like(second.quiet)))
-    found = structured_noise(plant, {}, {})
-    assert found is not None
-    assert [own.error.name for own in found.groups] == ["zero", "drift", "scale", "bend", "stroke_variation"]
-    assert [own.key for own in found.groups] == [0, 0, 0, 0, "gain[0]"]
-
-
-def two_alike() -> Lag:
-    plant = Lag(np.zeros(CYCLES * CYCLE))
-    (channel,) = plant.channels
-    plant.channels = (channel, replace(channel, recording=1))
-    plant._sensors = {0: SENSOR, 1: SENSOR._replace(alike=0)}
-    plant.predict = lambda values: [channel.data, channel.data]
-    return plant

@@ -10,7 +10,7 @@ import pytest
 from valve_sim.identification.plants.protocol import Nuisance
 from valve_sim.identification.plants.tolerances import SAME_AS
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.model import Parameter, Tolerances
+from valve_sim.model import Tolerances
 
 from ..diagnosis.test_run import DECLARED
 from ..recordings import recorded
@@ -41,13 +41,3 @@ def test_a_tolerance_of_the_effect_moves_the_prediction_as_one_of_the_declared_v
     moved = np.linalg.norm(there - as_declared)
     assert moved > 0.0
     assert np.linalg.norm(there - as_effect) < 0.01 * moved
-
-
-def unit_is_explained(own: Nuisance, parameter: Parameter) -> bool:
-    return (own.same_slope == 1.0) == (own.unit == parameter.unit)
-
-
-@pytest.mark.parametrize("name", SAME_AS)
-def test_units_differ_only_where_a_slope_says_how(name: str) -> None:
-    plant, own = plant_of(name)
-    assert unit_is_explained(own, plant.parameter(own.same_as))

@@ -28,15 +28,13 @@ def current(recorder: Recorder, heating: float = 0.0) -> tuple[Channel, np.ndarr
     return channels_of(0, trace)[1], train_profile().times
 
 
-@pytest.mark.parametrize("late", [-1e-3, 0.0, 3e-3])
-@pytest.mark.parametrize("scatter", [0.0, 0.5e-3])
+@pytest.mark.parametrize(("late", "scatter"), [(-1e-3, 0.0), (3e-3, 0.5e-3)])
 def test_stamps_that_come_late_are_no_noise_of_the_current(late: float, scatter: float) -> None:
     recorder = Recorder(with_current=True, current_noise=NOISE, clock_offset=late, command_jitter=scatter)
     assert estimate_noise([current(recorder)[0]]).sigma == pytest.approx(NOISE, rel=0.05)
 
 
-@pytest.mark.parametrize("noise", [0.0, NOISE])
-@pytest.mark.parametrize("heating", [0.0, 0.5])
+@pytest.mark.parametrize(("noise", "heating"), [(0.0, 0.0), (NOISE, 0.5)])
 def test_of_right_stamps_the_last_third_of_each_interval_is_settled(noise: float, heating: float) -> None:
     channel, acted = current(Recorder(with_current=True, current_noise=noise), heating)
     edges = np.concatenate([acted, channel.times[-1:]])

@@ -6,20 +6,17 @@ import html
 import json
 import re
 import shlex
-import subprocess
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
 
-from identification.browser import CHROMIUM, SETTINGS, Browser
+from identification.browser import CHROMIUM, Browser
 from identification.recordings import friction_found
 from valve_sim.files.parameter_files import load_valve
-from valve_sim.identification.diagnosis.experiment_design import Recommendation
 from valve_sim.identification.diagnosis.run import Diagnosis
-from valve_sim.identification.plants.protocol import Experiment
 from valve_sim.identification.reporting import html as report
 from valve_sim.identification.reporting.curves import StrokeCurves, keep_extremes, strokes_of
 from valve_sim.identification.reporting.files import write_diagnosis
@@ -29,36 +26,8 @@ from valve_sim.identification.reporting.wording import headline
 from valve_sim.model import CATALOGUE, ValveError
 from valve_sim.traces.synthetic import read_profile
 
-HOSTILE = "</script><script>throw 1</script><img src=http://127.0.0.1:9/x>"
 LARGEST_PAGE = 8_000_000
 needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed to open the report in")
-
-
-class Visit(NamedTuple):
-    """What a browser made of a page: its tree, the console's lines, and what the page asked of the network."""
-
-    tree: str
-    console: list[str]
-    requests: list[str]
-
-
-def visit(page: Path, folder: Path) -> Visit:
-    log = folder / "net.json"
-    ran = browse(page, folder, "--enable-logging=stderr", f"--log-net-log={log}", "--dump-dom")
-    events = json.loads(log.read_text())["events"]
-    asked = [event["params"] for event in events if "initiator" in event.get("params", {})]
-    # The browser's own requests (updates, time) have no origin; a page's have one, "null" for a file.
-    requests = [params["url"] for params in asked if params["initiator"] != "not an origin"]
-    return Visit(ran.stdout, re.findall(r"CONSOLE.*", ran.stderr), [url for url in requests if is_remote(url)])
-
-
-def is_remote(url: str) -> bool:
-    return not url.startswith(("file:", "data:"))
-
-
-def browse(page: Path, folder: Path, *settings: str) -> subprocess.CompletedProcess[str]:
-    command = [str(CHROMIUM), *SETTINGS, f"--user-data-dir={folder / 'profile'}", *settings, page.resolve().as_uri()]
-    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=True)
 
 
 @pytest.fixture(scope="module")
@@ -88,16 +57,6 @@ def test_the_page_says_what_was_found(diagnosis: Diagnosis, page: Path) -> None:
     assert "valve-sim diagnose strokes.mcap" in text
 
 
-def test_the_page_says_why_no_force_is_drawn(diagnosis: Diagnosis, tmp_path: Path) -> None:
-    path, nothing = tmp_path / "report.html", "The residual is only noise"
-    assert not diagnosis.before.adequacy.is_white
-    report.write_report(replace(diagnosis, maps=()), path)
-    assert "explains the data nearly as well as the named effects" in path.read_text(encoding="utf-8")
-    assert nothing not in path.read_text(encoding="utf-8")
-    report.write_report(replace(diagnosis, maps=(), before=diagnosis.after), path)
-    assert nothing in path.read_text(encoding="utf-8")
-
-
 def test_root_mean_squares_of_strokes_add_up_to_those_of_the_diagnosis(diagnosis: Diagnosis) -> None:
     strokes = [stroke for stroke in strokes_of(diagnosis) if not stroke.is_held_out]
     squares = sum(len(stroke.time) * stroke.root_mean_squares[0] ** 2 for stroke in strokes)
@@ -125,18 +84,6 @@ def test_a_hundred_strokes_fit_into_eight_megabytes(
     report.write_report(diagnosis, path)
     assert path.read_text(encoding="utf-8").count("data-stroke=") == 100
     assert path.stat().st_size <= LARGEST_PAGE
-
-
-def hostile(diagnosis: Diagnosis, path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
-    with_strokes(monkeypatch, [replace(strokes_of(diagnosis)[0], title=HOSTILE, quantity=HOSTILE)])
-    advised = Recommendation(
-        Experiment(HOSTILE, lambda machine: diagnosis.plant, ((0.0, 9.0), (4e-3, 0.0))),
-        {("coulomb_friction", "stiction"): 7.0},
-    )
-    unsure = replace(diagnosis.verdict, confusable_with={"coulomb_friction": ("stiction",)})
-    asked = replace(diagnosis, sources=(HOSTILE,), verdict=unsure, recommendation=advised)
-    report.write_report(asked, path, provenance=HOSTILE)
-    return path.read_text(encoding="utf-8")
 
 
 def test_a_page_that_cannot_be_written_is_one_clear_error(diagnosis: Diagnosis, tmp_path: Path) -> None:
@@ -212,18 +159,22 @@ def test_another_machine_has_no_corrected_valve(diagnosis: Diagnosis, tmp_path: 
 def test_the_page_draws_in_a_browser_without_errors_or_requests(
     diagnosis: Diagnosis, page: Path, tmp_path: Path
 ) -> None:
-    seen = visit(page, tmp_path)
+    with Browser(page, tmp_path) as browser:
+        browser.show(1280)
+        tree = browser.evaluate("document.documentElement.outerHTML")
+        requests = browser.evaluate("performance.getEntriesByType('resource').map(entry => entry.name)")
+        errors = browser.errors
     plots = report.SHOWN_STROKES + len(diagnosis.maps)
-    assert f'data-drawn="{plots}"' in seen.tree
-    curves = [int(count) for count in re.findall(r'data-points="(\d+)"', seen.tree)]
+    assert f'data-drawn="{plots}"' in tree
+    curves = [int(count) for count in re.findall(r'data-points="(\d+)"', tree)]
     assert len(curves) == 5 * report.SHOWN_STROKES + len(diagnosis.maps)
     assert min(curves) > 50
-    drawings = re.findall(r"<svg.*?</svg>", seen.tree, re.DOTALL)
+    drawings = re.findall(r"<svg.*?</svg>", tree, re.DOTALL)
     numbers = [axis.count('class="tick"') for drawing in drawings for axis in drawing.split('class="frame"')[:-1]]
     assert min(numbers) >= 2, "one number is no scale"
-    assert "NaN" not in seen.tree
-    assert seen.console == []
-    assert seen.requests == []
+    assert "NaN" not in tree
+    assert errors == []
+    assert [url for url in requests if not url.startswith(("file:", "data:"))] == []
 
 
 @pytest.fixture

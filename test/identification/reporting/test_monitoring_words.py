@@ -83,15 +83,6 @@ def test_what_is_left_of_an_orifice_is_a_share_of_what_it_was() -> None:
     assert finding_words(found(("seat_leak",), leak)) == "Leaking seat 0.00210 ± 0.00010 mm², none when commissioned"
 
 
-def test_a_declared_value_that_has_changed_is_said_with_what_it_was() -> None:
-    spring = {"valve.spring_rate": Interval(500.0, 3.0, 494.0, 506.0)}
-    assert finding_words(found(("valve.spring_rate",), spring)) == (
-        "Spring rate 500.0 ± 3.0 N/m, 428 N/m when commissioned"
-    )
-    shape = {"valve.attraction[0]": Interval(9.0, 1.0, 7.0, 11.0)}
-    assert finding_words(found(("valve.attraction_polynomial",), shape)) == "Wrong attraction polynomial"
-
-
 def test_growth_of_what_is_declared_is_said_with_what_was_declared() -> None:
     force, gain = Interval(0.8, 0.02, 0.76, 0.84), Interval(0.9, 0.002, 0.896, 0.904)
     grown = found(("coulomb_friction",), {"coulomb_friction.force": force}, declared={"coulomb_friction.force": 0.3})
@@ -105,15 +96,6 @@ def test_growth_of_what_is_declared_is_said_with_what_was_declared() -> None:
     assert finding_words(bounce).count("0.9000 ± 0.0020, declared 0.300") == 2
     told = finding_json(grown, Occasion("/tank_2/valve", 31, 0))
     assert told["was"]["coulomb_friction.force"] == 0.3
-
-
-def test_a_finding_that_names_nothing_says_why() -> None:
-    assert finding_words(found((), {}, kind="none")) == "the last strokes do not differ from those at commissioning"
-    nearest = found(("pilot_clogging", "main_damping"), {}, kind="unknown", unnamed=0.9)
-    assert finding_words(nearest) == (
-        "something has changed that no effect of the catalogue explains; the nearest is clogged pilot orifice and main "
-        "damping"
-    )
 
 
 def test_what_is_not_certain_is_not_said_as_if_it_were() -> None:

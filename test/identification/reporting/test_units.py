@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 
 from valve_sim.identification.estimation.intervals import Interval, Unbounded
-from valve_sim.identification.reporting.declared_values import plain_name
 from valve_sim.identification.reporting.findings import remark_on
 from valve_sim.identification.reporting.units import signed
 
@@ -24,7 +23,3 @@ def test_an_interval_that_its_standard_error_does_not_explain_is_explained(found
 def test_an_interval_as_its_standard_error_says_needs_no_words() -> None:
     assert remark_on(Interval(1.0, 0.1, 0.81, 1.2)) == ""
     assert "flat" in remark_on(Interval(1.0, 0.1, 0.0, 9.0, Unbounded.FLAT_PROFILE))
-
-
-def test_a_coordinate_of_the_attraction_says_what_it_is() -> None:
-    assert plain_name("attraction[2]") == "attraction, direction 3 of its covariance"

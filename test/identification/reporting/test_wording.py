@@ -11,12 +11,10 @@ from plants.recording import Recorder
 
 from identification.recordings import friction_found, recorded
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.diagnosis.experiment_design import Recommendation
-from valve_sim.identification.diagnosis.run import Diagnosis, Verdict, diagnose
+from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
 from valve_sim.identification.estimation.declared_values import DeclaredValue, out_of_tolerance
 from valve_sim.identification.estimation.intervals import Interval
 from valve_sim.identification.plants.effect_titles import title_of
-from valve_sim.identification.plants.protocol import Experiment
 from valve_sim.identification.reporting.declared_values import amount_words, declared_lines, summary_words
 from valve_sim.identification.reporting.diagnosis_json import to_json
 from valve_sim.identification.reporting.summary import recording_advice, summarise
@@ -29,7 +27,6 @@ from valve_sim.identification.reporting.wording import (
     percent,
     rounding_words,
     told_amounts,
-    value_words,
 )
 from valve_sim.model import CATALOGUE
 from valve_sim.model.effects.entry import Severity
@@ -94,36 +91,6 @@ def test_headlines_have_no_names_of_code(diagnosis: Diagnosis, kind: str, probab
         assert title_of(name).lower() in words.lower()
 
 
-@pytest.mark.parametrize(("probability", "words"), [(0.33, "Perhaps"), (0.7, "Probably"), (0.99, "Nothing")])
-def test_that_nothing_is_missing_is_said_once_and_as_sure_as_it_is(
-    diagnosis: Diagnosis, probability: float, words: str
-) -> None:
-    verdict = replace(diagnosis.verdict, kind="none", effects=(), probability=probability, confusable_with={})
-    text = diagnosis_text(replace(diagnosis, verdict=verdict))
-    assert text.startswith(f"none: {words} ")
-    assert text.lower().count("nothing is missing") == 1
-    assert f"Probability {100 * probability:.0f} %." in text
-
-
-@pytest.mark.parametrize(("kind", "strokes"), [("effects", 8), ("unknown", 1), ("insufficient", 8)])
-def test_a_summary_and_its_advice_have_no_names_of_code(diagnosis: Diagnosis, kind: str, strokes: int) -> None:
-    plant = diagnosis.plant
-    experiment = Experiment("a pulse of 4 ms at 9 V", lambda machine: plant)
-    recommendation = Recommendation(experiment, {("asymmetric_friction + coil_lag", "stop_bounce"): 7.0})
-    for name in NAMED:
-        alike = {name: ("eddy_lag", "stroke_offset")}
-        unnamed = 0.99 if kind == "unknown" else 0.02
-        verdict = Verdict(kind, (name,), alike, 0.9, unnamed, 0.7, strokes)
-        untried = ("Coulomb friction and coil lag", "sets of more effects")
-        found = replace(diagnosis, verdict=verdict, recommendation=recommendation, untried=untried)
-        summary, advice = summarise(found), recording_advice(found)
-        assert "_" not in summary + advice
-        assert verdict.is_open
-        assert "friction that differs by direction and coil lag from bounce" in advice
-        assert (advice in summary) == (kind == "insufficient")
-        assert title_of(name).lower() in summary.lower() or (kind == "insufficient" and strokes == 1)
-
-
 @pytest.mark.parametrize(("probability", "words"), [(1.0, "> 99 %"), (0.5, "50 %"), (0.0, "< 1 %")])
 def test_nothing_is_said_to_be_certain(probability: float, words: str) -> None:
     assert percent(probability) == words
@@ -176,25 +143,6 @@ def test_the_report_for_programs_has_the_same_words(diagnosis: Diagnosis) -> Non
     assert report["meaning"]["coulomb_friction"]["what_to_do"] == meaning.what_to_do
 
 
-def within(deviation: float) -> DeclaredValue:
-    return DeclaredValue("spring_rate", "N/m", 428.0, 10.0, 428.0 + 10.0 * deviation, 1.0, deviation, 0.1)
-
-
-@pytest.mark.parametrize(
-    ("deviation", "words"),
-    [
-        (-0.04, "where they are declared"),
-        (0.0, "where they are declared"),
-        (-0.06, "off by −0.1"),
-        (1.5, "off by +1.5"),
-    ],
-)
-def test_no_value_is_off_by_a_signed_nothing(deviation: float, words: str) -> None:
-    told = [summary_words([within(deviation)]), *declared_lines([within(deviation)])]
-    assert words in told[0]
-    assert not any(nothing in line for line in told for nothing in ("−0.0", "+0.0"))
-
-
 def test_a_deviation_inside_its_own_error_is_none() -> None:
     """A spring rate of 1264 ± 666 N/m says nothing of a declared 2000, however tight the tolerance is."""
     loose = DeclaredValue("spring_rate", "N/m", 2000.0, 40.0, 1264.3, 666.0, -18.4, 16.65)
@@ -224,12 +172,6 @@ def test_evidence_is_told_to_the_digits_that_matter(odds: float, words: str) -> 
 def test_where_a_standard_error_does_not_describe_the_interval_the_interval_is_told() -> None:
     assert amount(Interval(0.136, 0.013, 0.111, 0.161), "N") == "0.136 ± 0.013 N"
     assert amount(Interval(0.136, 0.013, 0.06, 0.21), "N") == "0.136 N (95 %: 0.06000 to 0.2100 N)"
-
-
-def test_a_value_at_which_the_search_ended_is_not_told_as_found() -> None:
-    velocity = CATALOGUE["stiction"].parameter("stribeck_velocity")
-    assert value_words(velocity.upper, velocity) == "not determined"
-    assert value_words(0.02, velocity) == "0.0200 m/s"
 
 
 def test_what_one_of_several_effects_explains_is_a_statement_of_its_own(diagnosis: Diagnosis) -> None:

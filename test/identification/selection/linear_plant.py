@@ -19,11 +19,7 @@ COLUMNS = np.random.default_rng(11).standard_normal((SAMPLES, 12))
 
 
 class LinearPlant:
-    """Shown: `level` times the first column, and what is added.
-
-    Args:
-        data: measured. shown: values to what is added to `level`'s column. parameters: of what may be freed beside it.
-    """
+    """Shown: `level` times the first column, and what `shown` makes of the values."""
 
     base: Sequence[str] = ("level",)
     timing_errors: Sequence[Nuisance] = ()
@@ -64,9 +60,3 @@ def problem_of(plant: LinearPlant) -> Problem:
 def measured(seed: int = 5) -> Array:
     """Two of the first column and noise."""
     return np.asarray(2.0 * COLUMNS[:, 0] + SIGMA * np.random.default_rng(seed).standard_normal(SAMPLES))
-
-
-def least_squares(columns: Array, residuals: Array) -> float:
-    """What is left of the sum of squares of whitened residuals beside columns that are fitted to them."""
-    found = np.linalg.lstsq(columns, residuals, rcond=1e-12)[0]
-    return float(np.sum(np.square(residuals - columns @ found)))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from identification.selection.linear_plant import LinearPlant
-from valve_sim.identification.estimation.linearised import Linearised, bounded_steps
+from valve_sim.identification.estimation.linearised import Linearised
 from valve_sim.identification.estimation.noise import Noise
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
@@ -22,9 +22,7 @@ from valve_sim.identification.selection.discrepancy import (
     SIZES,
     Cell,
     Discrepancy,
-    lengths_of,
 )
-from valve_sim.identification.selection.discrepancy import LENGTHS as SHARES
 from valve_sim.model import Parameter
 
 STEP, SAMPLES, SIGMA = 1e-3, 120, 0.5
@@ -88,19 +86,6 @@ def covariance(places: RowPlaces, cell: Cell) -> Array:
     return np.eye(count) + cell.size**2 * indicator @ kernel @ indicator.T
 
 
-CELLS = [Cell(0.1, 0), Cell(1.6, 1), Cell(51.2, 0)]
-
-
-@pytest.mark.parametrize("cell", CELLS)
-def test_whitening_is_the_root_of_the_inverse_covariance(cell: Cell) -> None:
-    places = problem().rows.places
-    found = Discrepancy(places, LENGTHS)
-    dense = covariance(places, cell)
-    root = found.whiten(np.eye(2 * SAMPLES), cell)
-    np.testing.assert_allclose(root @ dense @ root.T, np.eye(2 * SAMPLES), atol=1e-9)
-    assert found.blocks == 2 * 2 * math.ceil(45 / BLOCK)
-
-
 def in_closed_form(result: Fit, further: Array | None = None) -> tuple[float, Array]:
     """Ln p(data) without and, for each cell, with a discrepancy: of normal numbers, with the covariance written out."""
     spread = np.array([own.sigma for own in result.nuisances])
@@ -118,8 +103,7 @@ def in_closed_form(result: Fit, further: Array | None = None) -> tuple[float, Ar
     return of(np.eye(2 * SAMPLES)), np.array(cells)
 
 
-@pytest.mark.parametrize("slow", [0.0, 0.7])
-@pytest.mark.parametrize("is_wider", [False, True])
+@pytest.mark.parametrize(("slow", "is_wider"), [(0.0, True), (0.7, False)])
 def test_the_evidence_is_that_of_the_whole_covariance(slow: float, *, is_wider: bool) -> None:
     result = fit(problem(slow=slow), (), {}, nuisances=[WIDE, NARROW])
     further = 0.7 * COLUMNS[:, 2:3] if is_wider else None
@@ -138,22 +122,6 @@ def test_the_evidence_is_that_of_the_whole_covariance(slow: float, *, is_wider: 
         assert found.spread(Linearised(result)).log_evidence == pytest.approx(spread.log_evidence, abs=1e-9)
 
 
-def test_about_a_fit_that_has_the_discrepancy_in_its_whitening_it_is_the_same() -> None:
-    """Of a linear model it does not matter about which values it is linearised."""
-    own = problem(slow=0.7)
-    plain = fit(own, (), {}, nuisances=[WIDE, NARROW])
-    found = Discrepancy(own.rows.places, LENGTHS)
-    expected = found.spread(Linearised(plain))
-    beside = fit(own.with_whitening(lambda rows: found.whiten(rows, expected.cell)), (), {}, nuisances=[WIDE, NARROW])
-    assert abs(beside.values["narrow"] - plain.values["narrow"]) > 1e-3
-    assert found.spread(Linearised(beside)).log_evidence == pytest.approx(expected.log_evidence, abs=1e-6)
-    # Its criterion is that of the whitened residuals.
-    dense = covariance(own.rows.places, expected.cell)
-    left = beside.residuals
-    prior = sum((beside.values[one.name] / one.sigma) ** 2 for one in beside.nuisances)
-    assert beside.chi2 == pytest.approx(float(left @ np.linalg.solve(dense, left)) + prior, rel=1e-9)
-
-
 def test_noise_alone_speaks_against_a_discrepancy_and_a_slow_error_for_it() -> None:
     odds = []
     for slow in (0.0, 0.7):
@@ -166,67 +134,3 @@ def test_noise_alone_speaks_against_a_discrepancy_and_a_slow_error_for_it() -> N
         odds.append(spread.log_evidence - without)
     assert odds[0] < -1.0
     assert odds[1] > 10.0
-
-
-def test_where_nothing_moves_there_is_no_discrepancy() -> None:
-    places = problem().rows.places
-    still = places._replace(moves=np.zeros_like(places.moves))
-    found = Discrepancy(still, LENGTHS)
-    assert found.blocks == 0
-    rows = np.ones((2 * SAMPLES, 1))
-    np.testing.assert_array_equal(found.whiten(rows, Cell(1.6, 0)), rows)
-
-
-def test_lengths_are_shares_of_a_stroke_however_many_recordings_there_are() -> None:
-    """Channels of another recording have other numbers."""
-    own = problem()
-    alone = lengths_of(own.plant, own.rows.places)
-    assert alone == pytest.approx([share * 0.5 * 45 * STEP for share in SHARES])
-    places = others = own.rows.places
-    several = places._replace(
-        channel=np.concatenate([places.channel, *(others.channel + 2 * number for number in (1, 2, 3))]),
-        stroke=np.concatenate([places.stroke, *(others.stroke + 2 * number for number in (1, 2, 3))]),
-        time=np.tile(places.time, 4), moves=np.tile(places.moves, 4), steady=np.tile(places.steady, 4),
-    )  # fmt: skip
-    assert lengths_of(own.plant, several) == pytest.approx(alone)
-
-
-def test_the_size_that_is_found_is_that_which_acts() -> None:
-    random = np.random.default_rng(2)
-    own = problem()
-    truth = Cell(3.2, 1)
-    factor = np.linalg.cholesky(covariance(own.rows.places, truth))
-    sizes = []
-    for _ in range(20):
-        own.plant.channels = [
-            Channel(one.name, one.kind, one.times, SIGMA * part, one.quiet, one.group)
-            for one, part in zip(
-                own.plant.channels, np.split(factor @ random.standard_normal(2 * SAMPLES), 2), strict=True
-            )
-        ]
-        own = Problem(own.plant, noises=own.noises)
-        result = fit(own, (), {}, nuisances=[WIDE, NARROW])
-        sizes.append(Discrepancy(own.rows.places, LENGTHS).spread(Linearised(result)).size)
-    assert np.exp(np.mean(np.log(sizes))) == pytest.approx(truth.size, rel=0.2)
-
-
-@pytest.mark.parametrize(
-    ("pull", "room", "expected"),
-    [
-        ([-1.0, -1.0], [(9.0, 9.0), (9.0, 9.0)], None),
-        ([5.0, -1.0], [(0.2, 9.0), (9.0, 9.0)], -0.2),
-        ([-5.0, 1.0], [(9.0, 0.0), (9.0, 9.0)], 0.0),
-    ],
-)
-def test_a_step_within_bounds_is_the_least(
-    pull: list[float], room: list[tuple[float, float]], expected: float | None
-) -> None:
-    information, slopes, ends = np.array([[4.0, 1.0], [1.0, 2.0]]), np.array(pull), np.array(room)
-    (step,) = bounded_steps(information[None], slopes[None], ends)
-    first, second = (np.linspace(-low, high, 1801) for low, high in room)
-    grid = np.stack([own.ravel() for own in np.meshgrid(first, second, indexing="ij")], axis=1)
-    cost = 2.0 * grid @ slopes + np.einsum("ij,jk,ik->i", grid, information, grid)
-    least = grid[int(np.argmin(cost))]
-    np.testing.assert_allclose(step, least, atol=0.02)
-    if expected is not None:
-        assert step[0] == pytest.approx(expected)

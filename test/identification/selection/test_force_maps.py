@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from types import SimpleNamespace
-from typing import Any, cast
 
 import numpy as np
 
 from identification.selection.linear_plant import TIMES, LinearPlant, measured, problem_of
-from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Array, ForceMap
-from valve_sim.identification.selection.force_maps import NonparametricFit, competing_curves, describe, fit_maps
+from valve_sim.identification.selection.force_maps import NonparametricFit, competing_curves, fit_maps
 from valve_sim.model import SimulationError
 from valve_sim.model.effects import basis
 
@@ -73,27 +70,3 @@ def test_maps_come_by_their_evidence_and_what_acts_is_first() -> None:
 def test_what_cannot_be_simulated_is_left_out() -> None:
     variables = [one.choice.variable for one in found(BUMP, impossible="v")[0]]
     assert "v" not in variables and "x" in variables
-
-
-def test_time_is_no_curve_that_competes() -> None:
-    """A curve over time follows anything in the strokes that it is fitted to."""
-    plant = LinearPlant(measured() + BUMP, curves, force_maps=MAPS)
-    base = fit(problem_of(plant), ("level",), {})
-    assert {entry.choice.variable for entry in competing_curves(base, lambda what, done: None)} == {"x", "v"}
-
-
-def test_a_curve_is_described_by_its_size_its_points_and_their_errors() -> None:
-    coefficients, choice = np.sin(np.arange(12.0)), MAPS[0]
-    free = ("gain", *choice.free)
-    fitted = SimpleNamespace(
-        free=free, values=dict(zip(choice.coefficients, coefficients, strict=True)),
-        covariance=np.diag([99.0] + [0.04] * len(choice.free)), log_evidence=-60.0, smooth=None,
-    )  # fmt: skip
-    shown = describe(choice, cast("Any", fitted), cast("Fit", SimpleNamespace(log_evidence=-80.0)))
-    # Six points in each of the nine intervals.
-    at = np.linspace(0.0, 1.0, 55)
-    shapes = basis(at, 0.0, 1.0, 12)
-    np.testing.assert_allclose(shown.at, at)
-    np.testing.assert_allclose(shown.force, shapes @ coefficients)
-    np.testing.assert_allclose(shown.stderr, 0.2 * np.linalg.norm(shapes, axis=1))
-    assert (shown.gain, shown.variable) == (40.0, "x")

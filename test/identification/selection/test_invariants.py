@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -19,7 +18,7 @@ from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.estimation.result import Fit
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Array, EffectChoice, Nuisance
-from valve_sim.identification.selection.posterior import decide, posterior_of
+from valve_sim.identification.selection.posterior import decide
 from valve_sim.identification.selection.search import Search
 from valve_sim.model import Parameter, Tolerances
 
@@ -71,17 +70,6 @@ def test_a_further_sensor_widens_nothing() -> None:
         assert after[0, 0] < before[0, 0]
 
 
-def test_twice_the_data_halve_variances() -> None:
-    once, twice = Watched(1), Watched(1)
-    twice.channels = [once.channels[0], replace(once.channels[0], recording=1)]
-    twice.predict = lambda values: 2 * once.predict(values)  # type: ignore[method-assign]
-    ratio = np.diag(fitted(twice).covariance) / np.diag(fitted(once).covariance)
-    # The first value is known by its tolerance, the last by the data.
-    assert ratio[0] == pytest.approx(0.5, rel=1e-3)
-    assert ratio[3] == pytest.approx(0.5, rel=1e-3)
-    assert ratio[1] == pytest.approx(1.0, rel=1e-3)
-
-
 # -- names and their order ---------------------------------------------------------------------------------------------
 
 EFFECTS = {"alpha": 1, "beta": 2, "gamma": 3, "delta": 4}
@@ -120,15 +108,6 @@ def test_other_names_in_another_order_change_no_probability() -> None:
         assert decide(second).probability == pytest.approx(decide(first).probability, abs=1e-4)
     assert decide(first).names == ("alpha", "gamma")
     assert 0.5 < first.inclusion()["alpha"] < 0.9999
-
-
-def test_a_sum_over_more_sets_that_say_nothing_changes_no_order() -> None:
-    """The table alone decides: what is added to it with no evidence takes nothing but its prior."""
-    search = searched({name: name for name in EFFECTS}, list(EFFECTS))
-    table = search.table()
-    for order in itertools.islice(itertools.permutations(table), 20):
-        again = posterior_of(search.rivals, {names: table[names] for names in order})
-        assert decide(again) == decide(search.posterior())
 
 
 # -- a valve -----------------------------------------------------------------------------------------------------------

@@ -12,17 +12,14 @@ from valve_sim.identification.selection.posterior import (
     ALIKE,
     EXPECTED,
     FORM_IS_RIGHT,
-    LARGEST_CLASS,
     MOST_BESIDE,
     SURE,
-    Class,
     Decision,
     Evidence,
     Rivals,
     Set,
     class_of,
     decide,
-    leader_of,
     posterior_of,
 )
 
@@ -69,15 +66,6 @@ def test_how_many_act_is_a_poisson_number_of_effects_and_one_of_wrong_values() -
     assert counts[3, 2] / counts[0, 0] == pytest.approx(EXPECTED**5 / 12.0)
 
 
-def test_sets_of_one_size_are_equally_probable_and_beside_the_unnamed_every_size_is() -> None:
-    by_size: dict[int, set[float]] = {}
-    for names in subsets(MANY.effects | MANY.declared):
-        by_size.setdefault(len(names), set()).add(round(MANY.log_prior(names)[1], 9))
-    assert all(len(own) == 1 for own in by_size.values())
-    shares = [math.exp(by_size[size].copy().pop()) * math.comb(10, size) for size in range(MOST_BESIDE + 1)]
-    assert shares == pytest.approx([0.5 * (1.0 - FORM_IS_RIGHT) / 9.0] * 9)
-
-
 # -- the posterior -----------------------------------------------------------------------------------------------------
 
 SOME = {"": 0.0, "a": 6.0, "b": 4.5, "ab": 7.0, "c": -2.0}
@@ -102,15 +90,6 @@ def test_odds_are_those_of_prior_and_evidence() -> None:
     assert beside == pytest.approx(5.0 - 6.0 + MANY.log_prior(("a",))[1] - MANY.log_prior(("a",))[0])
 
 
-def test_a_constant_of_the_data_changes_nothing_however_large() -> None:
-    near = posterior_of(MANY, table(SOME, 5.0), [4.0])
-    moved = {names: Evidence(one.plain - 1e6, one.unnamed - 1e6) for names, one in table(SOME, 5.0).items()}
-    far = posterior_of(MANY, moved, [4.0 - 1e6])
-    for names, share in near.shares.items():
-        assert far.shares[names] == pytest.approx(share, rel=1e-6)
-    assert far.curves == pytest.approx(near.curves, rel=1e-6)
-
-
 def test_held_out_odds_raise_the_unnamed_of_their_set_alone() -> None:
     before, after = (posterior_of(MANY, table(SOME, 3.0), (), odds) for odds in (None, {("a",): 4.0}))
     assert after.unnamed > before.unnamed
@@ -130,11 +109,6 @@ def test_inclusion_adds_all_sets_with_a_name() -> None:
     assert math.fsum(found.beside.values()) == pytest.approx(1.0)
     ratio = found.shares["a",].unnamed / found.shares["b",].unnamed
     assert found.beside["a",] / found.beside["b",] == pytest.approx(ratio)
-
-
-def test_held_out_odds_make_no_set_better_than_another_beside_something_unnamed() -> None:
-    before, after = (posterior_of(MANY, table(SOME, 3.0), (), odds) for odds in (None, {("a",): 40.0}))
-    assert after.beside == before.beside
 
 
 def test_a_set_that_another_contains_leads_where_it_is_nearly_as_probable() -> None:
@@ -171,18 +145,6 @@ def test_look_alikes_differ_in_one_member_and_are_nearly_as_probable() -> None:
 def test_a_further_effect_makes_no_name_wrong() -> None:
     weights = {("a",): 0.6, ("a", "b"): 0.2, ("c",): 0.1, ("c", "d"): 0.05, ("b",): 0.01, ("b", "d"): 0.04}
     assert class_of(weights, ("a",)).probability == pytest.approx(0.95)
-
-
-def test_a_class_of_too_many_names_is_no_answer() -> None:
-    others = tuple("bcdefg")
-    assert Class(("a",), {"a": others[: LARGEST_CLASS - 1]}, 1.0).is_answer
-    assert not Class(("a",), {"a": others[:LARGEST_CLASS]}, 1.0).is_answer
-    assert not Class((), {}, 1.0).is_answer
-
-
-def test_of_equally_probable_sets_the_smallest_leads() -> None:
-    weights = {("b",): 0.3, ("a", "b"): 0.3, ("a",): 0.3, ("c",): 0.9}
-    assert leader_of(weights, [("a", "b"), ("b",), ("a",)]) == ("a",)
 
 
 # -- the verdict -------------------------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ from identification.selection.linear_plant import COLUMNS, SAMPLES, SIGMA, Linea
 from valve_sim.identification.estimation.result import Fit, rmse
 from valve_sim.identification.estimation.solver import fit
 from valve_sim.identification.plants.protocol import Array, Nuisance
-from valve_sim.identification.selection.prediction import HeldOut, axes_of, machine_values
+from valve_sim.identification.selection.prediction import HeldOut, machine_values
 
 STRONGER = 40.0
 """Times the training data: what training leaves open of the machine is then as large as the noise."""
@@ -87,13 +87,6 @@ def test_all_that_training_says_of_the_machine_is_kept_and_the_errors_of_the_rec
     assert held_out.fit(result) is found
 
 
-def test_axes_are_those_of_the_posterior_of_the_machine() -> None:
-    result = trained(drawn(2)[0])
-    values = machine_values(result)
-    moves = np.array([[moved[name] - values[name] for name in ("level", "known")] for moved in axes_of(result)])
-    np.testing.assert_allclose(moves.T @ moves, result.covariance[:2, :2], rtol=1e-6, atol=1e-12)
-
-
 def test_held_out_data_raise_the_odds_of_something_unnamed_where_they_show_it_and_never_lower_them() -> None:
     plant, other, _ = drawn(3)
     result = trained(plant)
@@ -118,20 +111,3 @@ def test_without_held_out_data_nothing_is_predicted() -> None:
     assert nothing.predicted(result) is None
     assert nothing.log_odds_of_unnamed(result) == 0.0
     assert nothing.log_density(result) is None
-
-
-def test_an_error_of_the_recording_takes_up_what_it_can_of_a_wrong_machine() -> None:
-    """A level that training hardly knows, and a clock's error, show in the same way: nothing of the first is left."""
-
-    class Alike(Stretched):
-        def predict(self, values: Mapping[str, float]) -> list[Array]:
-            size = self.strength * values.get("level", 0.0) + values.get("clock", 0.0)
-            return [size * COLUMNS[:, 0] + values.get("known", 0.0) * COLUMNS[:, 1]]
-
-    noise = np.random.default_rng(6).standard_normal((2, SAMPLES))
-    plant, other = (Alike(2.0 * COLUMNS[:, 0] + SIGMA * own, 1.0) for own in noise)
-    result = trained(plant)
-    assert result.stderr("level") > 10.0 * SIGMA / np.sqrt(SAMPLES)
-    found = HeldOut(problem_of(other)).predicted(result)
-    assert found is not None
-    assert np.mean(np.square(found.bands[0])) < 1.02 * SIGMA**2

@@ -13,8 +13,6 @@ from scipy import stats
 from valve_sim.identification.estimation.problem import Problem
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.identification.selection.residual_tests import (
-    SIGNIFICANT,
-    moving_residuals,
     whiteness,
 )
 
@@ -56,13 +54,6 @@ def test_the_p_value_is_that_of_the_most_telling_f_test(size: float, free: int) 
     assert found.p_value == pytest.approx(expected(values, free), rel=1e-6)
 
 
-def test_noise_is_white_and_what_is_larger_is_not() -> None:
-    assert whiteness(made_up(NONE), noise(), 0).is_white
-    loud = whiteness(made_up(NONE), 1.5 * noise(), 0)
-    assert not loud.is_white
-    assert loud.worst == "the residual is larger than the noise"
-
-
 @pytest.mark.parametrize("block", [4, 16])
 def test_a_slow_residual_of_the_size_of_noise_is_not_white(block: int) -> None:
     values = np.repeat(noise(1, COUNT // block), block)
@@ -78,19 +69,3 @@ def test_too_few_samples_tell_nothing(count: int, is_tested: bool) -> None:
     assert (found.worst == "too few samples in motion to tell") is not is_tested
     if not is_tested:
         assert found.p_value == 1.0
-
-
-def test_noise_known_from_few_quiet_samples_excuses_more() -> None:
-    values = 1.25 * noise()
-    few, many = (whiteness(made_up(NONE, samples=samples), values, 0).p_value for samples in (20, 4000))
-    assert few == pytest.approx(expected(values, 0, samples=20), rel=1e-6)
-    assert many < SIGNIFICANT < few
-    assert whiteness(made_up(NONE, samples=0), values, 0).p_value == pytest.approx(expected(values, 0, samples=1))
-
-
-def test_quiet_samples_and_those_without_weight_are_left_out() -> None:
-    first, second = np.array([True, False, False, True]), np.array([False, True, False])
-    residuals = np.arange(7.0)
-    np.testing.assert_array_equal(moving_residuals(made_up(first, second), residuals), [1.0, 2.0, 4.0, 6.0])
-    weighted = made_up(first, weights=np.array([1.0, 0.0, 0.5, 1.0]))
-    np.testing.assert_array_equal(moving_residuals(weighted, residuals[:4]), [2.0])

@@ -32,6 +32,10 @@ SIZE_OF_V: Final = 1e-2
 """m/s: below it the error of a velocity is held absolutely."""
 SIZE_OF_FORCE: Final = 1.0
 """N: likewise of a force."""
+MOST_STALLED: Final = 3
+"""Shorter steps in a row that make a comparison no better."""
+OF_TANGENTS: Final = 1e-2
+"""Of the tolerance of a comparison, with derivatives: the slope of a friction that falls with speed is steep."""
 LONG: Final = 1e-2
 """s: a longer step is one of polynomials that are exact, and may be shortened."""
 FARTHEST: Final = 1e6
@@ -77,9 +81,11 @@ def try_step(b: Block, t: Block) -> int:
     kernel = b[at.MOVE] if b[at.MOVING] > 0.0 else b[at.REST]
     invoke(kernel, b, t)
     before = 2.0 * FARTHEST
+    stalled = 0
     while b[at.IS_CHECKED] > 0.0 and b[at.DEFECT] > 1.0 and b[at.STEP] > SHORTEST_STEP:
-        if b[at.DEFECT] < FARTHEST and b[at.DEFECT] > 0.5 * before:
-            break  # A shorter step is no better: this is rounding, as of the sine of a large number.
+        stalled = stalled + 1 if b[at.DEFECT] < FARTHEST and b[at.DEFECT] > 0.5 * before else 0
+        if stalled > MOST_STALLED:
+            break  # Shorter steps are no better: this is rounding, as of the sine of a large number.
         before = b[at.DEFECT]
         b[at.LONGEST] = RETAKEN * b[at.STEP]
         invoke(kernel, b, t)
@@ -106,7 +112,10 @@ def is_off(b: Block, t: Block) -> bool:
     slope = 0.0
     for k in range(at.ORDER, 1, -1):
         slope = k * (k - 1) * b[at.SERIES_X + k] + h * slope
-    is_far: bool = abs(slope - b[at.ACCELERATION]) * h > b[at.TOLERANCE] * max(abs(b[at.V]), SIZE_OF_V)
+    tolerated = b[at.TOLERANCE] * max(abs(b[at.V]), SIZE_OF_V)
+    if b[at.WIDTH] > 0.0:
+        tolerated *= OF_TANGENTS
+    is_far: bool = abs(slope - b[at.ACCELERATION]) * h > tolerated
     return is_far
 
 
