@@ -16,6 +16,7 @@ import time
 from bisect import bisect_right
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from types import FrameType
 from typing import Any, Final, NamedTuple
 
 import click
@@ -35,6 +36,8 @@ DISCOVERY: Final = 0.4
 """s in which ROS discovers other nodes."""
 FRAME: Final = 1.0 / 30.0
 """s between two updates."""
+LONG_START: Final = 5.0
+"""s to its first message after which a node is most likely compiling the model, which `make` has done before."""
 LONGEST_SILENCE: Final = 20.0
 """s by which the node may be late before it counts as silent: a busy machine holds a process up for some."""
 START_LIMIT: Final = 120.0
@@ -67,14 +70,17 @@ class StopSignals:
     """
 
     def __init__(self) -> None:
-        self._come: list[int] = []
+        self._has_come = False
         for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, lambda number, frame: self._come.append(number))
+            signal.signal(number, self._note)
 
     def check(self) -> None:
         """Raise StoppedError if a signal came."""
-        if self._come:
+        if self._has_come:
             raise StoppedError
+
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        self._has_come = True
 
 
 class ValveProcess:
@@ -162,16 +168,13 @@ class Listener:
         from rclpy.node import Node
         from rclpy.qos import DurabilityPolicy, QoSProfile
 
-        from valve_sim.nodes.wiring import kind_of
-
         self.messages: queue.SimpleQueue[Message] = queue.SimpleQueue()
         self._node: Any = Node("valve_demo")
         latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         for topic, kind in TOPICS.items():
             quality = latched if topic.endswith(("/phase", "/is_open")) else QoSProfile(depth=2000)
-            self._node.create_subscription(kind_of(kind), topic, self._hear(topic), quality, raw=True)
-        self._float = kind_of(FLOAT)
-        self._commands = self._node.create_publisher(self._float, COMMAND, 10)
+            self._node.create_subscription(message_class(kind), topic, self._hear(topic), quality, raw=True)
+        self._commands = self._node.create_publisher(message_class(FLOAT), COMMAND, 10)
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
         self._is_closing = False
@@ -197,7 +200,7 @@ class Listener:
         """Command the coil; returns the message as serialized."""
         from rclpy.serialization import serialize_message
 
-        message = self._float(data=volts)
+        message = message_class(FLOAT)(data=volts)
         self._commands.publish(message)
         return bytes(serialize_message(message))
 
@@ -252,8 +255,11 @@ class Performance:
 
     def wait_for_valve(self) -> None:
         """Return when the node publishes and listens."""
-        begin = time.monotonic()
+        begin, is_told = time.monotonic(), False
         while self._clock.latest is None or not self._listener.is_heard:
+            if time.monotonic() > begin + LONG_START and not is_told:
+                self._say("(it is still starting: the first time, it compiles the model)")
+                is_told = True
             if time.monotonic() > begin + START_LIMIT:
                 raise DemoError(
                     f"valve_node published nothing within {START_LIMIT:.0f} s; look for a firewall or a container "
@@ -337,19 +343,28 @@ class Performance:
         self._console.print(line, highlight=False)
 
 
+def message_class(name: str) -> Any:
+    """The class of a message: "std_msgs/msg/Bool" and the like."""
+    package, _, kind = name.split("/")
+    return getattr(importlib.import_module(f"{package}.msg"), kind)
+
+
 def decoded(message: Message) -> tuple[Any, int]:
     """The message itself, and its stamp, ns, 0 without one."""
     from rclpy.serialization import deserialize_message
 
-    from valve_sim.nodes.wiring import kind_of
-
-    content = deserialize_message(message.payload, kind_of(TOPICS[message.topic]))
+    content = deserialize_message(message.payload, message_class(TOPICS[message.topic]))
     header = getattr(content, "header", None)
     return content, 0 if header is None else int(header.stamp.sec) * NANOSECONDS + int(header.stamp.nanosec)
 
 
 def perform(folder: Path, strokes: int, speed: float, console: Console, signals: StopSignals) -> None:
-    """Run the demonstration; leaves strokes/ (a rosbag2 bag), stroke.png and valve_node.log in the folder."""
+    """Run the demonstration; leaves strokes/ (a rosbag2 bag), stroke.png and valve_node.log in the folder.
+
+    Raises:
+        ValveError: no ROS 2, the node failed, or the folder cannot be written to.
+        StoppedError: a signal came; unfinished files are removed.
+    """
     bag, log = folder / "strokes", folder / "valve_node.log"
     try:
         shutil.rmtree(bag, ignore_errors=True)
@@ -391,7 +406,8 @@ def _enter_ros(folder: Path) -> None:
         import rclpy
         from rclpy.signals import SignalHandlerOptions
 
-        importlib.import_module("valve_sim.nodes.wiring")
+        for kind in TOPICS.values():
+            message_class(kind)
     except ImportError as error:
         raise DemoError(
             f"ROS 2 is not here ({error}); source your ROS 2, or type make run, which installs its wheels"
