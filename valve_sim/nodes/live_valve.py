@@ -329,9 +329,9 @@ def self_test(valve: Valve) -> SelfTest:
     except SimulationError as error:
         return SelfTest(False, str(error))
     is_one, name = valve.parameters.has_one_plunger, "main plunger"
-    lifting, seating = (kinds.PICKED_UP, kinds.HELD_AT_GAP), (kinds.MAIN_SEATED,)
+    lifting, seating = [kinds.PICKED_UP, kinds.HELD_AT_GAP], [kinds.MAIN_SEATED]
     if is_one:
-        lifting, seating, name = (kinds.UNSEATED,), (kinds.SEATED, kinds.BOUNCED_AT_SEAT), "plunger"
+        lifting, seating, name = [kinds.UNSEATED], [kinds.SEATED, kinds.BOUNCED_AT_SEAT], "plunger"
     lifted, released = _milliseconds(opening, 0.0, *lifting), _milliseconds(closing, held.time, kinds.RELEASED)
     opened = _milliseconds(opening, 0.0, kinds.REACHED_STOP, kinds.BOUNCED_AT_STOP)
     closed = _milliseconds(closing, held.time, *seating)
