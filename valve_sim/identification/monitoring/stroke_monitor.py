@@ -172,8 +172,14 @@ class StrokeMonitor:
     def with_present_scatter(self) -> Baseline:
         """The baseline with the present scatter of commands, for fault isolation."""
         assert self.baseline is not None
-        scatter = self._established
+        scatter = max(self._established, self._delay_of_evidence)
         return self.baseline if scatter <= self.baseline.jitter else replace(self.baseline, scatter=scatter)
+
+    @property
+    def _delay_of_evidence(self) -> float:
+        """s, the largest shared delay of the strokes of the alarm: of their commands, or of the valve."""
+        began = self._began()
+        return max((abs(stroke.delay) for stroke in self._recent if stroke.number >= began), default=0.0)
 
     @property
     def _established(self) -> float:
@@ -185,7 +191,9 @@ class StrokeMonitor:
         Where commands scatter more than at commissioning, each is moved to where its stroke shows that it took effect.
         """
         began = self._began()
-        is_wider = self.baseline is not None and self._established > WIDER_SCATTER * self.baseline.jitter
+        is_wider = self.baseline is not None and (
+            max(self._established, self._delay_of_evidence) > WIDER_SCATTER * self.baseline.jitter
+        )
         found = [
             _retimed(stroke.trace, stroke.shifts) if is_wider else stroke.trace
             for stroke in self._recent
@@ -253,7 +261,7 @@ class StrokeMonitor:
                     trace = without_delay(record.trace, self.shared_delay)
                     scored = score_stroke(trace, self.commissioning.baseline, level)
                     scores = self.commissioning.standard(scored.scores, level)
-                    alarm = self._add(record._replace(trace=trace), scored, scores)
+                    alarm = self._add(record, scored, scores)
             except (SimulationError, np.linalg.LinAlgError) as error:
                 state, remark = StrokeState.NOT_JUDGED, NotSimulated(str(error))
         if scored is None and self.commissioning is not None:
@@ -329,7 +337,8 @@ class StrokeMonitor:
         assert self._sums is not None
         self._judged += 1
         trace = record.trace if self._declared.gas is None else _after(self._between, record.trace)
-        self._recent.append(_Assessed(record.number, trace, scored.shifts, dict(scores)))
+        shifts = scored.shifts + self.shared_delay
+        self._recent.append(_Assessed(record.number, trace, shifts, dict(scores), self.shared_delay))
         self._between.clear()
         # Delays that cannot be scored count as 0, so that earlier ones decay from their sums.
         unknown = {name: 0.0 for name in DELAYS if self.is_timing_uncertain and name in self._sums}
@@ -393,12 +402,13 @@ class StrokeMonitor:
 
 
 class _Assessed(NamedTuple):
-    """A stroke that was compared with the model, the delays of its commands, s, and its scores."""
+    """A stroke that was compared with the model, the delays of its commands, s, its scores, and the shared delay, s."""
 
     number: int
     trace: Trace
     shifts: Array
     scores: Mapping[str, float]
+    delay: float
 
     @property
     def furthest(self) -> float:
