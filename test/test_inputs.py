@@ -56,11 +56,9 @@ ELSEWHERE = {
     "fmi3_start_time": "test/fmu/test_cosimulation.py: FMI 2.0 begins at the master's start time; FMI 3.0 is gone",
     "modbus_function_6": "test/station",
     "monitor_hears_an_old_bag": "test/nodes",
-}
-LATER = {
-    "noise_of_excited_input": "the fit's issue (REVIEW T 1)",
-    "noise_of_uneven_steps_ntc": "the fit's issue (REVIEW T 2)",
-    "own_valve": "the fit's and the loop's issues (REVIEW T 3, T 4)",
+    "noise_of_excited_input": "test/identification/test_reviewed_statements.py",
+    "noise_of_uneven_steps_ntc": "test/identification/test_reviewed_statements.py",
+    "own_valve": "test/identification/test_reviewed_statements.py",
 }
 OWN = ("csv_names_that_are_numbers", "parameters_of_another_valve")
 
@@ -70,7 +68,7 @@ def run(*arguments: object) -> Any:
 
 
 def test_every_folder_is_held_by_a_test_or_given_to_an_issue() -> None:
-    held = {name.partition("/")[0] for name in RECORDINGS} | {*ELSEWHERE, *LATER, *OWN}
+    held = {name.partition("/")[0] for name in RECORDINGS} | {*ELSEWHERE, *OWN}
     assert {path.name for path in INPUTS.iterdir() if path.is_dir()} == held
 
 
@@ -120,39 +118,3 @@ def test_a_recording_is_not_fitted_with_the_parameters_of_another_valve(tmp_path
     result = run("identify", folder / "tank_1.mcap", "--params", folder / "two.yaml", "--output", tmp_path)
     assert result.exit_code == 0, result.stderr
     assert re.search(r"^main_damping .* 5\.00 N·s/m$", result.stdout, re.MULTILINE)
-
-
-# --- what the fit and the loop say falsely until their issues ---
-
-
-def verdict_of(folder: Path, output: Path, *arguments: object) -> dict[str, Any]:
-    """The verdict of a diagnosis of recordings in a folder."""
-    result = run("diagnose", *arguments, "--map", folder / "map.yaml", "--output", output, "--json")
-    assert result.exit_code == 0, result.stderr
-    found: dict[str, Any] = json.loads(result.stdout)["verdict"]
-    return found
-
-
-@pytest.mark.xfail(reason="the fit's issue: noise of an input that changes at every sample (REVIEW T 1)", strict=True)
-def test_a_voltage_drop_is_named_though_the_input_changes_at_every_sample(tmp_path: Path) -> None:
-    folder = INPUTS / "noise_of_excited_input"
-    a, b = folder / "drop_a.csv", folder / "drop_b.csv"
-    found = verdict_of(folder, tmp_path, a, b, "--holdout", b, "--plant", folder / "coil.yaml")
-    assert found["kind"] == "effects"
-
-
-@pytest.mark.xfail(reason="the fit's issue: noise of a sensor with uneven steps (REVIEW T 2)", strict=True)
-def test_nothing_is_missing_behind_a_sensor_with_uneven_steps(tmp_path: Path) -> None:
-    folder = INPUTS / "noise_of_uneven_steps_ntc"
-    found = verdict_of(folder, tmp_path, folder / "ntc_a.csv", "--plant", folder / "heat.yaml")
-    assert found["kind"] == "none"
-
-
-@pytest.mark.long
-@pytest.mark.xfail(reason="the loop's issue: errors of other sensors, several effects (REVIEW T 3, T 4)", strict=True)
-@pytest.mark.parametrize("name", ["hard_stop_hum", "soft_stop"])
-def test_friction_of_an_own_valve_is_named(name: str, tmp_path: Path) -> None:
-    folder = INPUTS / "own_valve"
-    found = verdict_of(folder, tmp_path, folder / name / "long.csv", "--params", folder / "valve.yaml")
-    assert found["kind"] == "effects"
-    assert "coulomb_friction" in found["effects"]

@@ -74,7 +74,9 @@ def test_a_node_has_its_parameters(installed: Installed) -> None:
         "print([name for name in ValveSettings.table() if 'magnet_drag' in name])"
     )
     done = installed.run("-c", script)
-    names = [f"effects.magnet_drag.{name}" for name in ("force", "speed")]
+    names = [
+        f"{group}.magnet_drag.{name}" for group in ("effects", "tolerances.effects") for name in ("force", "speed")
+    ]
     assert done.stdout.strip() == str(names), done.stderr
 
 

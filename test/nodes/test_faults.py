@@ -1,4 +1,4 @@
-"""valve_node among neighbours that stop, stand still, run away or share its name."""
+"""valve_node among neighbours that stop, stand still or run away."""
 
 from __future__ import annotations
 

@@ -317,7 +317,11 @@ class Topic:
 
 def _whole(values: Sequence[int]) -> Times:
     """Times of messages as an array; a damaged file may have some that no clock has."""
-    return np.clip(np.array(values, dtype=np.uint64), 0, 2**63 - 1).astype(np.int64)
+    try:
+        whole = np.array(values, dtype=np.int64)
+    except OverflowError:
+        whole = np.array([min(value, 2**63 - 1) for value in values], dtype=np.int64)
+    return np.maximum(whole, 0)
 
 
 def _kept(layout: Layout, keep: Collection[str] | None) -> Iterator[Place]:
