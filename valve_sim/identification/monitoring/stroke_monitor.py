@@ -178,6 +178,8 @@ class StrokeMonitor:
     @property
     def _delay_of_evidence(self) -> float:
         """s, the largest shared delay of the strokes of the alarm: of their commands, or of the valve."""
+        if self._declared.gas is not None:
+            return 0.0  # a valve that waits for its pressure is late itself, and tells no more by its shape
         began = self._began()
         return max((abs(stroke.delay) for stroke in self._recent if stroke.number >= began), default=0.0)
 
