@@ -1,6 +1,6 @@
 # make run        sets up what is missing and shows a valve at work on ROS 2 topics
 # make shell      opens a shell in which valve-sim and the nodes are found
-# make test       checks and tests: some minutes on two cores
+# make test       checks and tests: five minutes on two cores
 # make test-long  the long tests: documentation, fuzzing, faults, a fleet, printed commands, ROS 2 Kilted, a slice of the campaign
 # make golden     writes test/golden anew: what is said of the shipped recordings; read the diff
 # make docs       builds the documentation: build/docs/index.html
