@@ -226,6 +226,20 @@ class Rows:
         columns, known = plant.sensitivities(values, directions)
         return (self._whitened(columns, -1.0) if known.any() else nothing), known
 
+    def linearised(
+        self, values: Mapping[str, float], directions: Sequence[Direction]
+    ) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """(r,) residuals, (r, k) their derivatives, no rows where none is known, and (k,) where the plant knows them.
+
+        Args:
+            values, directions: as of the plant's `sensitivities`.
+
+        Raises:
+            SimulationError: the machine cannot be simulated with these values.
+        """
+        columns, known = self.sensitivities(values, directions)
+        return self.residuals(values), columns, known
+
     def whitened_columns(self, columns: Mapping[int, Array]) -> dict[int, tuple[slice, Array]]:
         """The slice of rows of some channels, and (r, q) whitened, weighted columns of (n, q) of all their samples."""
         found, start = {}, 0

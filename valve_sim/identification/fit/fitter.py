@@ -1,0 +1,373 @@
+"""Fits of sets of hypotheses to one problem, and what they are worth beside the errors of its recordings.
+
+    fit {}; read drift and hum at rest; learn the sizes of all other errors beside it, or forget them if something is left
+    later: learn them again beside a set, and fit again what may come near
+
+Large errors would imitate what a model lacks, most of all numbers of the machine that vary from stroke to stroke. So they
+are learned beside a model only that leaves nothing unnamed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from valve_sim.identification.estimation.errors.error import Mode
+from valve_sim.identification.estimation.gram import gram
+from valve_sim.identification.estimation.priors import LogNormal
+from valve_sim.identification.fit.columns import Columns, columns_of, known_name
+from valve_sim.identification.fit.descent import MOST, Beside, Descended, descend
+from valve_sim.identification.fit.gaussian import GONE, Gaussian, Spread
+from valve_sim.identification.fit.model import Model, Sums
+from valve_sim.identification.fit.posterior import EVEN, Evidence, Rivals, Set
+from valve_sim.identification.fit.problem import Problem
+from valve_sim.identification.fit.process import SMALLEST, Process
+from valve_sim.identification.fit.ringing import WORTH, ringing_modes
+from valve_sim.identification.fit.unknown import Group, Hypothesis, Unknown, curve, unknowns_of
+from valve_sim.model import SimulationError
+
+HELD: Final = 0.3
+"""Of the scale of its prior: the size of an error before the data are asked."""
+LOOKS: Final = 8
+"""Linearisations beside all errors, after which it is asked whether these could explain what is left."""
+HOPELESS: Final = 50.0
+"""Ln p by which something unnamed is better than any errors of the recordings, from which these are not learned."""
+ROUNDS: Final = 4
+"""Of fits and sizes."""
+SETTLED: Final = 0.2
+"""Largest change of the logarithm of a size at which sizes have settled."""
+NEARLY: Final = 3.0
+"""Difference in ln p by which a model beside something unnamed may be less probable than without, and be looked at
+twice."""
+LINEAR: Final = 0.4
+"""τ up to which something unnamed changes fits so little that one linear step is exact to 0.3 in ln p."""
+SPLINES: Final = 10
+"""Of a smooth curve."""
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A set that was fitted.
+
+    Attributes:
+        fit: without a process. plain: ln p(data | set). spread: the same with something unnamed beside it.
+        is_fitted: whether the fit was carried to its end. beside: the fit beside something unnamed; None: that is `fit`.
+    """
+
+    fit: Descended
+    plain: float
+    spread: Spread
+    is_fitted: bool = True
+    beside: Descended | None = None
+
+    @property
+    def values(self) -> dict[str, float]:
+        """What each unknown came to, by name."""
+        gaussian = self.fit.gaussian
+        return gaussian.model.named(gaussian.z)
+
+    @property
+    def evidence(self) -> Evidence:
+        """The evidence of the set, as the posterior takes it."""
+        return Evidence(self.plain, self.spread.log_evidence, self.is_fitted)
+
+
+class Fitter:
+    """Fits sets of hypotheses, with the errors of the recordings as large as they are.
+
+    Args:
+        problem: data and noise. rivals: what may be missing. held: sizes of errors that are known, by `known_name`.
+        reads_at_rest: whether drift and hum are read while the machine is still.
+
+    Attributes:
+        problem: with the errors of its recordings as columns. sizes: of the groups of errors, by name.
+        hypotheses, curves: by name. base: the declared model, when it has been fitted.
+    """
+
+    def __init__(
+        self, problem: Problem, rivals: Rivals, held: Mapping[str, float] | None = None, *, reads_at_rest: bool = True
+    ) -> None:
+        plant = problem.plant
+        self.unknowns, self.rivals, self._held, self._reads = unknowns_of(plant), rivals, dict(held or {}), reads_at_rest
+        self.hypotheses: dict[str, Hypothesis] = dict(self.unknowns.hypotheses)
+        self.curves = {own.name: own for own in (curve(one, _force_of(problem), SPLINES) for one in plant.force_maps)}
+        self.problem = problem.with_columns(Columns() if problem.is_long else columns_of(plant, {}, {}).held_at(self._held))
+        self.sizes = {name: self._usual(group) for name, group in self.groups.items()}
+        self.base: Tried | None = None
+        self.process = Process(self.problem)
+
+    def _usual(self, group: Group) -> float:
+        """The size of an error before the data are asked."""
+        known = self._held.get(known_name(group)) if group.is_held else None
+        return known if known is not None else group.scale * (1.0 if group.law == "known" else HELD)
+
+    @property
+    def groups(self) -> dict[str, Group]:
+        """By name, of all errors of the recordings, of stamps and of smooth curves."""
+        stamps = {own.group.name: own.group for own in self.unknowns.stamps if own.group}
+        curves = {own.group.name: own.group for one in self.curves.values() for own in one.frees if own.group}
+        return {**self.problem.columns.groups, **stamps, **curves}
+
+    @property
+    def learned(self) -> list[str]:
+        """Names of the groups whose size is learned beside a model."""
+        reads = self._reads
+        return [name for name, own in self.groups.items() if own.is_learned and not (reads and own.at_rest)]
+
+    def size(self, group: Group) -> float:
+        """The size that a group has now; of one that came later, before the data are asked."""
+        return self.sizes.get(group.name, self._usual(group))
+
+    # -- models and fits -----------------------------------------------------------------------------------------------
+
+    def model(self, names: Set, *, has_columns: bool = True, is_bare: bool = False) -> Model:
+        """The machine with a set freed, and errors of the recordings that are more than none.
+
+        Args:
+            names: the set. has_columns: whether errors of the sensors are among them.
+            is_bare: whether nothing that varies of the machine is, and no stamp.
+        """
+        chosen = [self.curves[name] if name in self.curves else self.hypotheses[name] for name in names]
+        frees = {own.name: own for one in chosen for own in one.frees}
+        base = [frees.pop(own.name, own) for own in (*self.unknowns.base, *self.unknowns.known)]
+        base = [own for own in base if not set(own.replaces) & frees.keys()]
+        columns = self.problem.columns
+        local = [] if is_bare else [*columns.varying, *self.unknowns.stamps]
+        linear = columns.unknowns if has_columns else ()
+        held = {name: value for one in chosen for name, value in one.held.items()}
+        return Model(self.problem, [*base, *frees.values(), *filter(self._is_there, (*local, *linear))], held)
+
+    def _is_there(self, own: Unknown) -> bool:
+        """Whether an error of the recordings is more than none; a bend stays, since what it would explain is not seen."""
+        return own.group is None or own.group.error == "bend" or self.size(own.group) > GONE * own.group.scale
+
+    def descended(
+        self, model: Model, values: Mapping[str, float], *, most: int = MOST, goal: float = math.inf,
+        beside: Beside | None = None, damping: float | None = None,
+    ) -> Descended | None:  # fmt: skip
+        """A fit from a start; None where the machine cannot be simulated there. Arguments as of `descend`."""
+        more = {} if damping is None else {"damping": damping}
+        try:
+            return descend(model, model.at(values), self.sizes, most=most, goal=goal, beside=beside, **more)
+        except (SimulationError, np.linalg.LinAlgError):
+            return None
+
+    def weighed(self, names: Set, fit: Descended, *, is_fitted: bool = True, spreads: bool = True) -> Tried:
+        """A fit with its evidence, at the sizes of errors that suit it.
+
+        Args:
+            names: the set. fit: of it. is_fitted: whether it was carried to its end.
+            spreads: whether something unnamed is tried beside it; else it gains as much as beside the declared model.
+        """
+        values = fit.gaussian.model.named(fit.gaussian.z)
+        nothing = Tried(fit, -math.inf, Spread(-math.inf, SMALLEST, 0.0), is_fitted)
+        for name in names:
+            if name in self.hypotheses and not _may_be_claimed(self.hypotheses[name], values):
+                return nothing
+        try:
+            suited = fit.gaussian.with_best_sizes(self.learned)
+            integral = suited.log_integral(self.learned)
+            plain = suited.log_evidence + integral
+            if spreads:
+                return Tried(fit, plain, self._beside_errors(suited, plain, integral, is_rough=not is_fitted), is_fitted)
+        except np.linalg.LinAlgError:
+            return nothing
+        base = self.base
+        assert base is not None
+        unnamed = base.spread._replace(log_evidence=base.spread.log_evidence + plain - base.plain)
+        return Tried(fit, plain, unnamed, is_fitted)
+
+    def _beside_errors(self, suited: Gaussian, plain: float, integral: float, *, is_rough: bool = False) -> Spread:
+        """Something unnamed beside a model: either may explain what errors of the recording do, and these it.
+
+        Args:
+            suited: at the most probable sizes of errors. plain: ln p without. integral: over the sizes.
+            is_rough: whether only these sizes are tried.
+        """
+        chosen = [name for name in suited.groups if name in set(self.learned)]
+        first = suited.spread(self.process)
+        found = [first._replace(log_evidence=first.log_evidence + integral)]
+        has_errors = any(suited.size(group) > 0.05 * group.scale for name, (group, _) in suited.groups.items() if name in chosen)
+        if is_rough or not has_errors:
+            return found[0]
+        none = {name: float(suited.groups[name][0].grid[0]) for name in chosen}
+        found.append(suited.resized(none).spread(self.process))
+        if max(found).log_evidence > plain - NEARLY:
+            there = suited.beside(self.process, max(found).cell).with_best_sizes(chosen)
+            again = suited.resized(there.sizes).spread(self.process)
+            found.append(again._replace(log_evidence=again.log_evidence + there.log_integral(chosen)))
+        return max(found)
+
+    def beside(self, names: Set, tried: Tried) -> Tried:
+        """A set fitted again beside the most probable process, where that changes its fit."""
+        for _ in range(2):
+            cell = tried.spread.cell
+            if cell.tau <= LINEAR:
+                break
+            start = (tried.beside or tried.fit).gaussian
+            fit = self.descended(self.model(names), start.model.named(start.z), beside=Beside(self.process, cell))
+            if fit is None:
+                break
+            own = fit.gaussian
+            suited = Gaussian(own.model, own.z, own.sums, own.sizes).with_best_sizes(self.learned)
+            spread = self._beside_errors(suited, tried.plain, suited.log_integral(self.learned))
+            tried = replace(tried, spread=spread, beside=fit)
+            if spread.cell == cell:
+                break
+        return tried
+
+    # -- errors of the recordings --------------------------------------------------------------------------------------
+
+    def fitted_declared(self) -> Tried:
+        """Fit the declared model, and learn the errors of the recordings beside it.
+
+        Raises:
+            SimulationError: it cannot be simulated from any start.
+        """
+        fit = self._plain_fit()
+        first = self.weighed((), fit)
+        begun = self.descended(self.model(()), first.values, most=LOOKS) or fit
+        usual, columns = dict(self.sizes), self.problem.columns
+        is_hopeless = self._leaves_much(begun)
+        if is_hopeless and columns.unknowns:  # modes imitate what is missing, unless they explain all of it
+            begun = self._with_modes(begun)
+            is_hopeless = self._leaves_much(begun)
+            if is_hopeless and self.problem.columns is not columns:
+                self._use(columns)
+                self.sizes = dict(usual)
+        found = first
+        if not is_hopeless:
+            found = self.weighed((), self.learn((), begun))
+        if is_hopeless or self.rivals.unnamed_beside((), found.evidence) > EVEN:
+            self._use(columns)
+            self.sizes = {**usual, **dict.fromkeys(self._local_groups, 0.0)}
+            found = first
+        self.base = found
+        return found
+
+    @property
+    def _local_groups(self) -> list[str]:
+        """Names of the groups of what varies of the machine, and of stamps."""
+        varying = (*self.problem.columns.varying, *self.unknowns.stamps)
+        return [own.group.name for own in varying if own.group and not own.group.is_held]
+
+    def _plain_fit(self) -> Descended:
+        """The declared model without what varies of the machine, drift and hum read at rest."""
+        tripled = {own.name: 3.0 * own.value(own.start) for own in self.unknowns.base if isinstance(own.prior, LogNormal)}
+        model = self.model((), is_bare=True)
+        fits = [self.descended(model, start) for start in ({}, tripled)]
+        known = [fit for fit in fits if fit is not None]
+        if not known:
+            raise SimulationError("the declared model cannot be simulated from any start of the fit")
+        fit = min(known, key=lambda one: one.cost)
+        if self._reads and self._read_at_rest(fit):
+            fit = self.descended(self.model((), is_bare=True), fit.gaussian.model.named(fit.gaussian.z)) or fit
+        return fit
+
+    def _read_at_rest(self, fit: Descended) -> bool:
+        """Take the sizes of drift and hum from the samples at rest alone; whether there are any."""
+        names = [name for name, group in self.groups.items() if group.at_rest and group.is_learned]
+        own = fit.gaussian
+        if not names or not len(own.sums.moved):
+            return False
+        rows = own.sums.rows[~self.problem.rows.places.moves]
+        still = Sums(own.sums.moved, own.sums.fixed, gram(rows, rows), own.sums.constant)
+        sizes = Gaussian(own.model, own.z, still, self.sizes).with_best_sizes(names).sizes
+        self.sizes.update({name: sizes[name] for name in names if name in sizes})
+        return True
+
+    def _leaves_much(self, fit: Descended) -> bool:
+        """Whether something unnamed acts beside a fit, to first order, whatever sizes errors have."""
+        try:
+            suited = fit.gaussian.with_best_sizes(self.learned)
+            return suited.spread(self.process).log_evidence - suited.log_evidence > HOPELESS
+        except np.linalg.LinAlgError:
+            return True
+
+    def learn(self, names: Set, fit: Descended) -> Descended:
+        """A set fitted again with the most probable sizes of errors beside it, which are those of all fits from now on."""
+        groups = self.groups
+        for name in self.learned:
+            self.sizes[name] = max(self.sizes.get(name, 0.0), HELD * groups[name].scale)
+        for _ in range(ROUNDS):
+            found = self.descended(self.model(names), fit.gaussian.model.named(fit.gaussian.z)) or fit
+            sizes = found.gaussian.with_best_sizes(self.learned).sizes
+            changes = [
+                abs(math.log(sizes[name] / self.sizes[name]))
+                for name in self.learned
+                if name in sizes and self.sizes[name] > GONE * groups[name].scale
+            ]
+            self.sizes.update({name: sizes[name] for name in self.learned if name in sizes})
+            fit = found
+            if max(changes, default=0.0) < SETTLED:
+                break
+        return self.descended(self.model(names), fit.gaussian.model.named(fit.gaussian.z)) or fit
+
+    def _use(self, columns: Columns) -> None:
+        self.problem = self.problem.with_columns(columns)
+
+    def _with_modes(self, fit: Descended) -> Descended:
+        """A fit again with the modes in which the mounts of its sensors ring, where they are worth it."""
+        found = fit
+        for _ in range(2):
+            modes = ringing_modes(found.gaussian.with_best_sizes(self.learned))
+            if modes == dict(self.problem.columns.modes):
+                break
+            values = found.gaussian.model.named(found.gaussian.z)
+            before, sizes = self.problem.columns, dict(self.sizes)
+            self._use(self.columns_with(values, modes))
+            again = self.descended(self.model(()), values)
+            if again is None or not self._is_worth(again, found):
+                self._use(before)
+                self.sizes = sizes
+                break
+            suited = again.gaussian.with_best_sizes(self.learned)
+            self.sizes.update({name: suited.sizes[name] for name in self.learned if name in suited.sizes})
+            found = self.descended(self.model(()), again.gaussian.model.named(again.gaussian.z)) or again
+        return found
+
+    def columns_with(self, values: Mapping[str, float], modes: Mapping[int, tuple[Mode, ...]]) -> Columns:
+        """The errors of the recordings beside a machine of these values, with modes of its mounts."""
+        return columns_of(self.problem.plant, values, modes).held_at(self._held)
+
+    def _is_worth(self, after: Descended, before: Descended) -> bool:
+        return self._with_sizes(after) > self._with_sizes(before) + WORTH
+
+    def _with_sizes(self, fit: Descended) -> float:
+        suited = fit.gaussian.with_best_sizes(self.learned)
+        return suited.log_evidence + suited.log_integral(self.learned)
+
+    def fit_curve(self, name: str, names: Set, values: Mapping[str, float]) -> Descended | None:
+        """A smooth curve beside a set, as stiff as its own evidence says; None where it cannot be simulated."""
+        own = {one.group.name: one.group for one in self.curves[name].frees if one.group}
+        self.sizes.update({key: group.scale for key, group in own.items()})
+        whole = tuple(sorted((*names, name)))
+        fit = self.descended(self.model(whole), values, most=25)
+        for _ in range(ROUNDS):
+            if fit is None:
+                return None
+            sizes = fit.gaussian.with_best_sizes(own).sizes
+            change = max(abs(math.log(sizes[key] / self.sizes[key])) for key in own)
+            self.sizes.update({key: max(sizes[key], 1e-3 * group.scale) for key, group in own.items()})
+            fit = self.descended(self.model(whole), fit.gaussian.model.named(fit.gaussian.z), most=25) or fit
+            if change < HELD:
+                break
+        return fit
+
+
+def _may_be_claimed(own: Hypothesis, values: Mapping[str, float]) -> bool:
+    """Whether values are within the range in which an effect bears its name."""
+    return all(one.claimed[0] <= values[one.name] <= one.claimed[1] for one in own.frees if one.name in values)
+
+
+def _force_of(problem: Problem) -> float:
+    """Scale of a force that nothing describes, N: a fifth of what holds the valve closed."""
+    try:
+        return 0.2 * abs(problem.plant.declared("spring_preload")) or 0.2
+    except (KeyError, AttributeError):
+        return 0.2
+
