@@ -15,8 +15,8 @@ import numpy as np
 
 from valve_sim.identification.estimation.errors import ERRORS
 from valve_sim.identification.estimation.errors.error import Mode, RecordingError, Seen
-from valve_sim.identification.fit.unknown import DIFFERENCE, Group, Law, Unknown, known
 from valve_sim.identification.estimation.priors import Normal
+from valve_sim.identification.fit.unknown import DIFFERENCE, Group, Law, Unknown, known
 from valve_sim.identification.plants.protocol import Array, Channel, HasSensors, Plant, Sensor
 
 BY_NAME: Final[Mapping[str, RecordingError]] = {error.name: error for error in ERRORS}

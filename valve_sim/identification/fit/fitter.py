@@ -20,7 +20,7 @@ from valve_sim.identification.estimation.errors.error import Mode
 from valve_sim.identification.estimation.gram import gram
 from valve_sim.identification.estimation.priors import LogNormal
 from valve_sim.identification.fit.columns import Columns, columns_of, known_name
-from valve_sim.identification.fit.descent import MOST, Beside, Descended, descend
+from valve_sim.identification.fit.descent import FIRST_DAMPING, MOST, Beside, Descended, descend
 from valve_sim.identification.fit.gaussian import GONE, Gaussian, Spread
 from valve_sim.identification.fit.model import Model, Sums
 from valve_sim.identification.fit.posterior import EVEN, Evidence, Rivals, Set
@@ -92,10 +92,17 @@ class Fitter:
         self, problem: Problem, rivals: Rivals, held: Mapping[str, float] | None = None, *, reads_at_rest: bool = True
     ) -> None:
         plant = problem.plant
-        self.unknowns, self.rivals, self._held, self._reads = unknowns_of(plant), rivals, dict(held or {}), reads_at_rest
+        self.unknowns, self.rivals, self._held, self._reads = (
+            unknowns_of(plant),
+            rivals,
+            dict(held or {}),
+            reads_at_rest,
+        )
         self.hypotheses: dict[str, Hypothesis] = dict(self.unknowns.hypotheses)
         self.curves = {own.name: own for own in (curve(one, _force_of(problem), SPLINES) for one in plant.force_maps)}
-        self.problem = problem.with_columns(Columns() if problem.is_long else columns_of(plant, {}, {}).held_at(self._held))
+        self.problem = problem.with_columns(
+            Columns() if problem.is_long else columns_of(plant, {}, {}).held_at(self._held)
+        )
         self.sizes = {name: self._usual(group) for name, group in self.groups.items()}
         self.base: Tried | None = None
         self.process = Process(self.problem)
@@ -147,12 +154,11 @@ class Fitter:
 
     def descended(
         self, model: Model, values: Mapping[str, float], *, most: int = MOST, goal: float = math.inf,
-        beside: Beside | None = None, damping: float | None = None,
+        beside: Beside | None = None, damping: float = FIRST_DAMPING,
     ) -> Descended | None:  # fmt: skip
         """A fit from a start; None where the machine cannot be simulated there. Arguments as of `descend`."""
-        more = {} if damping is None else {"damping": damping}
         try:
-            return descend(model, model.at(values), self.sizes, most=most, goal=goal, beside=beside, **more)
+            return descend(model, model.at(values), self.sizes, most=most, goal=goal, beside=beside, damping=damping)
         except (SimulationError, np.linalg.LinAlgError):
             return None
 
@@ -173,7 +179,9 @@ class Fitter:
             integral = suited.log_integral(self.learned)
             plain = suited.log_evidence + integral
             if spreads:
-                return Tried(fit, plain, self._beside_errors(suited, plain, integral, is_rough=not is_fitted), is_fitted)
+                return Tried(
+                    fit, plain, self._beside_errors(suited, plain, integral, is_rough=not is_fitted), is_fitted
+                )
         except np.linalg.LinAlgError:
             return nothing
         base = self.base
@@ -191,7 +199,9 @@ class Fitter:
         chosen = [name for name in suited.groups if name in set(self.learned)]
         first = suited.spread(self.process)
         found = [first._replace(log_evidence=first.log_evidence + integral)]
-        has_errors = any(suited.size(group) > 0.05 * group.scale for name, (group, _) in suited.groups.items() if name in chosen)
+        has_errors = any(
+            suited.size(group) > 0.05 * group.scale for name, (group, _) in suited.groups.items() if name in chosen
+        )
         if is_rough or not has_errors:
             return found[0]
         none = {name: float(suited.groups[name][0].grid[0]) for name in chosen}
@@ -257,7 +267,9 @@ class Fitter:
 
     def _plain_fit(self) -> Descended:
         """The declared model without what varies of the machine, drift and hum read at rest."""
-        tripled = {own.name: 3.0 * own.value(own.start) for own in self.unknowns.base if isinstance(own.prior, LogNormal)}
+        tripled = {
+            own.name: 3.0 * own.value(own.start) for own in self.unknowns.base if isinstance(own.prior, LogNormal)
+        }
         model = self.model((), is_bare=True)
         fits = [self.descended(model, start) for start in ({}, tripled)]
         known = [fit for fit in fits if fit is not None]
@@ -370,4 +382,3 @@ def _force_of(problem: Problem) -> float:
         return 0.2 * abs(problem.plant.declared("spring_preload")) or 0.2
     except (KeyError, AttributeError):
         return 0.2
-

@@ -240,7 +240,9 @@ class Gaussian:
         information, gradient, cost, half_log = self.reduced
         move, gain = self.step()
         at = self.z + move
-        volume = log_volume(information, gradient + information @ move, np.column_stack([at - self.lower, self.upper - at]))
+        volume = log_volume(
+            information, gradient + information @ move, np.column_stack([at - self.lower, self.upper - at])
+        )
         of_priors = log_density_of(self.priors, self.z) + 0.5 * float(self.pulls[0].sum())
         if self.known is not None:
             values = np.linalg.eigvalsh(self.known.information)

@@ -119,7 +119,9 @@ class Model:
 
     @cached_property
     def _column_groups(self) -> list[ColumnGroup]:
-        return self.problem.rows.groups(tuple(own.nuisance for place in self._local if (own := self.moving[place]).nuisance))
+        return self.problem.rows.groups(
+            tuple(own.nuisance for place in self._local if (own := self.moving[place]).nuisance)
+        )
 
     # -- one linearisation ---------------------------------------------------------------------------------------------
 

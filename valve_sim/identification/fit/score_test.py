@@ -123,8 +123,10 @@ def log_mean(prior: Prior, estimate: float, sigma: float, ends: tuple[float, flo
     at = np.unique(np.clip(np.concatenate([estimate + sigma * steps, centre + scale * steps]), *ends))
     if len(at) < 2:
         return -math.inf
-    is_known = isinstance(prior, Cauchy | Normal)
-    logs = prior.log_densities(at) if is_known else np.array([prior.log_density(z) for z in at.tolist()])
+    if isinstance(prior, Cauchy | Normal):
+        logs = prior.log_densities(at)
+    else:
+        logs = np.array([prior.log_density(z) for z in at.tolist()])
     logs = logs - 0.5 * np.square((at - estimate) / sigma) - math.log(math.sqrt(2.0 * math.pi) * sigma)
     gaps = np.diff(at)
     weights = 0.5 * np.concatenate([gaps[:1], gaps[1:] + gaps[:-1], gaps[-1:]])

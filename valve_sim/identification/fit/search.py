@@ -159,7 +159,9 @@ class Search:
         is_all = self.unnamed_beside(base) < EVEN
         gains = self.gains(base)
         least = -math.inf if is_full and not base else math.log(PROMISING)
-        promising = [name for name, gain in gains.items() if (not is_all or gain > least) and self._may_show(name, gain)]
+        promising = [
+            name for name, gain in gains.items() if (not is_all or gain > least) and self._may_show(name, gain)
+        ]
         if not base and is_all:
             self._screen(gains, promising)
         if not promising:

@@ -118,7 +118,11 @@ def starts_of(fitter: Fitter, names: Set, rest: Set, warm: Tried) -> list[Start]
 
     known = {one.name: values[one.name] for other in rest for one in fitter.hypotheses[other].frees}
     is_saddle = any(one.is_switch and math.isinf(one.value(one.start)) for one in own.frees)
-    found = [] if is_saddle else [best_of({**values, **one} for one in switched_on(own, Near(has_shapes=bool(_places(own)))))]
+    found = (
+        []
+        if is_saddle
+        else [best_of({**values, **one} for one in switched_on(own, Near(has_shapes=bool(_places(own)))))]
+    )
     found.append(best_of({**values, **one} for one in switched_on(own, Near(LARGE, has_signs=True))))
     if own.choice is not None and own.choice.start:
         found.append(best_of([{**values, **own.choice.start}]))

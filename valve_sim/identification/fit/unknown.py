@@ -149,7 +149,7 @@ class Unknown:
         return min(max(z, self.lower), self.upper)
 
     def slope(self, z: float) -> float:
-        """d value / d z; infinite where the value is."""
+        """D value / d z; infinite where the value is."""
         return 1.0 if self.parameter is None else value_slope(self.parameter, z)
 
     def moves(self, z: float) -> dict[str, float]:
