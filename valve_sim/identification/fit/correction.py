@@ -237,7 +237,7 @@ class Errors(NamedTuple):
     """Sums of squares of the response in motion less what is predicted, in its unit, and how many samples."""
 
     squares: float
-    count: int
+    samples: int
 
 
 def refitted_errors(fitter: Fitter, names: Set, fit: Descended, parts: Sequence[Part]) -> list[Errors]:
@@ -426,7 +426,7 @@ def _refits(fitter: Fitter, names: Set, fit: Descended, parts: Sequence[Part]) -
         found = refitted_errors(fitter, names, fit, parts)
     except (SimulationError, np.linalg.LinAlgError):
         return []
-    return [math.sqrt(max(own.squares, 1e-300) / own.count) for own in found]
+    return [math.sqrt(max(own.squares, 1e-300) / own.samples) for own in found]
 
 
 def _spread(scoring: Scoring, names: Set, alternatives: Sequence[Set]) -> float:

@@ -57,7 +57,8 @@ class Part(NamedTuple):
 
         def mask(index: int, groups: NDArray[np.integer]) -> NDArray[np.bool_]:
             own = [group for recording, group in self.strokes if recording == channels[index].recording]
-            return np.isin(groups, own) == inside
+            found: NDArray[np.bool_] = np.isin(groups, own)
+            return found if inside else ~found
 
         return mask
 
