@@ -16,8 +16,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.identification.estimation.gram import gram
 from valve_sim.identification.fit.gaussian import Gaussian
+from valve_sim.identification.fit.gram import gram
 from valve_sim.identification.fit.model import Model, Sums
 from valve_sim.identification.fit.problem import Mask, Problem
 from valve_sim.identification.plants.hold_out import UnderConditions
