@@ -265,7 +265,7 @@ def _refitted(fitter: Fitter, model: Model, fit: Gaussian, part: Part) -> Errors
     takes = part.takes(problem, inside=True)
     for index in primary_channels(problem.plant):
         channel = problem.plant.channels[index]
-        counted = takes(index, channel.group) & (problem.weight(index) > 0.0)
+        counted = takes(index, channel.group)
         moving = counted & ~channel.quiet
         used = left[index][moving if moving.any() else counted]
         squares, count = squares + float(used @ used), count + len(used)

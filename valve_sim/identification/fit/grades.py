@@ -25,6 +25,7 @@ MOST_ALIKE: Final = 3
 """Look-alikes, beyond which a name says nothing."""
 
 Word = Literal["named", "acts_like", "possible"]
+Kind = Literal["none", "effects", "partly", "unknown", "insufficient"]
 
 
 class Grade(NamedTuple):
@@ -52,6 +53,15 @@ def grades(correction: Correction, decision: Decision, inclusion: Mapping[str, f
     """
     names = correction.names
     return () if is_curve(names) else tuple(_grade(name, correction, decision, inclusion) for name in names)
+
+
+def kind_of(correction: Correction, graded: tuple[Grade, ...], decision: Decision) -> Kind:
+    """The verdict: what is claimed, beside what is corrected."""
+    if correction.is_applied:
+        return "effects" if graded and all(grade.word == "named" for grade in graded) else "partly"
+    if decision.kind == "none":
+        return "none"
+    return "unknown" if decision.unnamed > EVEN else "insufficient"
 
 
 def _grade(name: str, correction: Correction, decision: Decision, inclusion: Mapping[str, float]) -> Grade:
