@@ -155,6 +155,8 @@ class Model:
         cross = gram(self.fixed, moved) if q else np.empty((0, k + 1))
         products[k:-1, outer], products[outer, k:-1] = cross, cross.T
         products[k:-1, k:-1] = self._fixed_products
+        if not np.isfinite(products).all():
+            raise SimulationError("the derivatives are too large to be squared")
         return Sums(moved, self.fixed, products, self.problem.rows.constant)
 
     def _in_pieces(self, z: Array) -> Sums | None:

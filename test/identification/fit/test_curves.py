@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-
-from identification.selection.linear_plant import TIMES, LinearPlant, measured, problem_of
-from valve_sim.identification.fit.result import fit
-from valve_sim.identification.plants.protocol import Array, ForceMap
 from valve_sim.identification.selection.force_maps import NonparametricFit, competing_curves, fit_maps
+
+from identification.fit.linear_plant import TIMES, LinearPlant, measured, problem_of
+from identification.freed import fit
+from valve_sim.identification.plants.protocol import Array, ForceMap
 from valve_sim.model import SimulationError
 from valve_sim.model.effects import basis
 
