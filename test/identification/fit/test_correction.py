@@ -81,6 +81,17 @@ def test_what_lacks_nothing_stays_as_it_is() -> None:
     assert graded == ()
 
 
+def test_what_the_budget_cuts_short_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    budget = searched().problem.budget
+    spent = budget.spent
+    monkeypatch.setattr(budget, "strokes", spent)
+    correction, _ = closed(searched())
+    assert correction.is_applied
+    assert not correction.is_refitted
+    assert correction.cut_short == ("look-alikes", "refits without each condition")
+    assert budget.spent == spent
+
+
 # -- the rule, on tables that are made up ------------------------------------------------------------------------------
 
 WOBBLE = 0.04 * np.array([1.0, -1.0, 0.5, -0.5, 0.0])

@@ -44,8 +44,8 @@ CURVE_TAKES: Final = 0.1
 """Ln of the error that a curve must take off beyond the best set of names: a tenth."""
 CURVE_SIZE: Final = 4
 """Numbers that a smooth curve is worth, whatever its splines."""
-EQUAL: Final = 0.02
-"""Difference in ln of the error by which sets are equal, however small its standard error."""
+MATTERS: Final = math.log(1.05)
+"""Ln of the factor between errors, below which they are equal, however small its standard error."""
 SWAPS: Final = 4
 """Look-alikes of each member, by the score test, that are fitted in its place."""
 ROUNDS: Final = 2
@@ -91,13 +91,17 @@ class Choice(NamedTuple):
 
 def near(scores: Scores) -> list[Set]:
     """The sets that predict as well as the best within one standard error, the best first."""
-    best = min(scores, key=lambda names: (float(np.mean(scores[names].logs)), names))
+    best = min(scores, key=lambda names: _mean_log(scores[names]))
 
     def is_near(names: Set) -> bool:
         rise, error = scores[best].rise(scores[names])
-        return rise <= max(error, EQUAL)
+        return rise <= max(error, MATTERS)
 
-    return sorted(filter(is_near, scores), key=lambda names: float(np.mean(scores[names].logs)))
+    return sorted(filter(is_near, scores), key=lambda names: _mean_log(scores[names]))
+
+
+def _mean_log(score: Score) -> float:
+    return float(np.mean(score.logs))
 
 
 def by_prediction(scores: Scores) -> Set:
@@ -113,9 +117,11 @@ def by_prediction(scores: Scores) -> Set:
 
 
 def _smallest(scores: Scores) -> Set:
-    found = min(near(scores), key=lambda names: scores[names].size)
+    size = min(scores[names].size for names in near(scores))
+    # One that is near because its errors scatter gives way to a better one that is as small.
+    found = min((names for names in scores if scores[names].size <= size), key=lambda names: _mean_log(scores[names]))
     rise, error = scores[found].rise(scores[()])
-    return found if found == () or rise > max(DECISIVE * error, EQUAL) else ()
+    return found if found == () or rise > max(DECISIVE * error, MATTERS) else ()
 
 
 def falls(scores: Scores, names: Set) -> bool:
@@ -144,7 +150,7 @@ def agrees(scores: Scores, names: Set) -> bool:
         return False
     best = near(scores)[0]
     rise, error = scores[best].rise(scores[names])
-    return rise <= max(error, EQUAL) and scores[names].rise(scores[()])[0] >= 0.0
+    return rise <= max(error, MATTERS) and scores[names].rise(scores[()])[0] >= 0.0
 
 
 # -- what is scored ----------------------------------------------------------------------------------------------------
@@ -265,7 +271,7 @@ def _refitted(fitter: Fitter, model: Model, fit: Gaussian, part: Part) -> Errors
     takes = part.takes(problem, inside=True)
     for index in primary_channels(problem.plant):
         channel = problem.plant.channels[index]
-        counted = takes(index, channel.group) & (problem.weight(index) > 0.0)
+        counted = takes(index, channel.group)
         moving = counted & ~channel.quiet
         used = left[index][moving if moving.any() else counted]
         squares, count = squares + float(used @ used), count + len(used)

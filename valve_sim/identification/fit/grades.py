@@ -15,16 +15,17 @@ from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
-from valve_sim.identification.fit.correction import DECISIVE, EQUAL, Correction, Score, Scores, agrees, is_curve
+from valve_sim.identification.fit.correction import DECISIVE, MATTERS, Correction, Score, Scores, agrees, is_curve
 from valve_sim.identification.fit.posterior import EVEN, SURE, Decision, Set
 from valve_sim.identification.fit.search import added, without
 
-MATTERS: Final = math.log(1.05)
-"""Ln of the factor by which unseen conditions must err more without an effect and its look-alikes."""
+EQUAL: Final = 0.003
+"""Ln of the factor between errors up to which a look-alike predicts as well, however small its standard error."""
 MOST_ALIKE: Final = 3
 """Look-alikes, beyond which a name says nothing."""
 
 Word = Literal["named", "acts_like", "possible"]
+Kind = Literal["none", "effects", "partly", "unknown", "insufficient"]
 
 
 class Grade(NamedTuple):
@@ -52,6 +53,15 @@ def grades(correction: Correction, decision: Decision, inclusion: Mapping[str, f
     """
     names = correction.names
     return () if is_curve(names) else tuple(_grade(name, correction, decision, inclusion) for name in names)
+
+
+def kind_of(correction: Correction, graded: tuple[Grade, ...], decision: Decision) -> Kind:
+    """The verdict: what is claimed, beside what is corrected."""
+    if correction.is_applied:
+        return "effects" if graded and all(grade.word == "named" for grade in graded) else "partly"
+    if decision.kind == "none":
+        return "none"
+    return "unknown" if decision.unnamed > EVEN else "insufficient"
 
 
 def _grade(name: str, correction: Correction, decision: Decision, inclusion: Mapping[str, float]) -> Grade:

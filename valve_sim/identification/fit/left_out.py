@@ -52,13 +52,13 @@ class Part(NamedTuple):
     numbers: tuple[int, ...]
 
     def takes(self, problem: Problem, *, inside: bool) -> Mask:
-        """Which samples are in this part, or outside of it, as `Problem.restricted` takes it."""
+        """Which samples of a problem are in this part, or outside of it, as `Problem.restricted` takes it."""
         channels = problem.plant.channels
 
         def mask(index: int, groups: NDArray[np.integer]) -> NDArray[np.bool_]:
             own = [group for recording, group in self.strokes if recording == channels[index].recording]
             found: NDArray[np.bool_] = np.isin(groups, own)
-            return found if inside else ~found
+            return (found if inside else ~found) & (problem.weight(index) > 0.0)
 
         return mask
 
@@ -68,8 +68,8 @@ class LeftOut:
     """What each part is predicted to be by the others.
 
     Attributes:
-        squares, counts: (g,) sum of squares of the response in motion less its prediction, in standard deviations of the
-            noise, and how many samples. estimates: (g, k) coordinates without each part.
+        squares: (g,) of the response in motion less its prediction, in standard deviations of the noise.
+        counts: (g,) of its samples. estimates: (g, k) coordinates without each part.
     """
 
     squares: Array
