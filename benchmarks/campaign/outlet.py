@@ -17,8 +17,8 @@ from plants.gas import GasValve
 
 from benchmarks.campaign.bench import Bench, Measured
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
-from valve_sim.identification.estimation.budget import Budget
-from valve_sim.identification.selection.search import Search
+from valve_sim.identification.fit.budget import Budget
+from valve_sim.identification.fit.search import Search
 from valve_sim.model import Drive, Valve, simulate
 from valve_sim.traces import Signal, Trace
 

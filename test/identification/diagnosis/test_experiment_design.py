@@ -14,9 +14,9 @@ from valve_sim.identification.diagnosis.experiment_design import (
     Recommendation,
     recommend,
 )
-from valve_sim.identification.estimation.problem import Problem
-from valve_sim.identification.estimation.result import Fit
-from valve_sim.identification.estimation.solver import fit
+from valve_sim.identification.fit.problem import Problem
+from valve_sim.identification.fit.result import Fit
+from valve_sim.identification.fit.result import fit
 from valve_sim.identification.plants.protocol import Experiment
 from valve_sim.identification.plants.valve import ValvePlant, volts_at
 from valve_sim.identification.reporting.recording_profile import STROKE_LEVELS, duration_of, write_profile

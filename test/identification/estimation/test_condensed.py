@@ -10,9 +10,9 @@ from plants.recording import Recorder
 
 from identification.recordings import FINE, recorded
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.estimation.problem import Problem
-from valve_sim.identification.estimation.rows import CondensedRows, Rows
-from valve_sim.identification.estimation.solver import fit
+from valve_sim.identification.fit.problem import Problem
+from valve_sim.identification.fit.rows import CondensedRows, Rows
+from valve_sim.identification.fit.result import fit
 from valve_sim.identification.plants.valve import ValvePlant
 
 BOTH = ("pilot_damping", "main_damping")

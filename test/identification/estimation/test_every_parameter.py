@@ -15,8 +15,8 @@ from plants.recording import Profile, Recorder
 from identification.recordings import TRUTH, recorded
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.identify import Identification, identify
-from valve_sim.identification.estimation.intervals import Unbounded
-from valve_sim.identification.estimation.priors import Cauchy, LogNormal
+from valve_sim.identification.fit.intervals import Unbounded
+from valve_sim.identification.fit.priors import Cauchy, LogNormal
 from valve_sim.identification.plants.protocol import perturbed, to_internal
 from valve_sim.identification.plants.valve import DAMPINGS
 from valve_sim.model import CATALOGUE, DECLARED

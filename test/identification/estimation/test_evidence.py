@@ -16,9 +16,9 @@ from identification.selection.linear_plant import (
     measured,
     problem_of,
 )
-from valve_sim.identification.estimation.priors import Cauchy, Normal
-from valve_sim.identification.estimation.result import Fit
-from valve_sim.identification.estimation.solver import fit
+from valve_sim.identification.fit.priors import Cauchy, Normal
+from valve_sim.identification.fit.result import Fit
+from valve_sim.identification.fit.result import fit
 from valve_sim.identification.plants.protocol import Array, EffectChoice, Nuisance
 from valve_sim.model import Parameter
 

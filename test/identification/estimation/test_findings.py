@@ -7,9 +7,9 @@ from typing import Any, cast
 
 import numpy as np
 
-from valve_sim.identification.estimation.findings import Correlated, Finding, NotConverged, StampErrors, findings
-from valve_sim.identification.estimation.intervals import Interval
-from valve_sim.identification.estimation.result import Fit
+from valve_sim.identification.fit.findings import Correlated, Finding, NotConverged, StampErrors, findings
+from valve_sim.identification.fit.intervals import Interval
+from valve_sim.identification.fit.result import Fit
 
 NAMES = ("a", "b", "c")
 

@@ -11,8 +11,8 @@ import pytest
 from identification.recordings import recorded
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.estimation import problem as problems
-from valve_sim.identification.estimation.problem import Problem
-from valve_sim.identification.estimation.solver import fit
+from valve_sim.identification.fit.problem import Problem
+from valve_sim.identification.fit.result import fit
 from valve_sim.identification.plants import valve_pieces
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.traces import Trace

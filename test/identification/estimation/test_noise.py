@@ -11,7 +11,7 @@ from plants.recording import Recorder
 
 from identification.recordings import FINE, recorded, still
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.identification.estimation.noise import (
+from valve_sim.identification.fit.noise import (
     estimate_noise,
     quiet_windows,
 )

@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import quad
 
 from identification.selection.linear_plant import LinearPlant, measured
-from valve_sim.identification.estimation.priors import (
+from valve_sim.identification.fit.priors import (
     HALF,
     Cauchy,
     Even,

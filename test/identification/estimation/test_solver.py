@@ -14,10 +14,10 @@ from identification.diagnosis.test_sound_verdicts import Decay
 from identification.recordings import TRUTH, one_opening, recorded
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.estimation.descent import Descent
-from valve_sim.identification.estimation.intervals import Unbounded, covariance_interval, profile_interval
-from valve_sim.identification.estimation.priors import Cauchy
-from valve_sim.identification.estimation.problem import Problem
-from valve_sim.identification.estimation.solver import fit
+from valve_sim.identification.fit.intervals import Unbounded, covariance_interval, profile_interval
+from valve_sim.identification.fit.priors import Cauchy
+from valve_sim.identification.fit.problem import Problem
+from valve_sim.identification.fit.result import fit
 from valve_sim.identification.plants.protocol import (
     Direction,
     Sensitivities,

@@ -9,7 +9,7 @@ import pytest
 
 from valve_sim.files.parameter_files import default_valve, load_valve, save_valve
 from valve_sim.files.tables import TableError
-from valve_sim.identification.estimation.static_force import BeginsLate, StartOfMotion, fit_static_force
+from valve_sim.identification.fit.static_force import BeginsLate, StartOfMotion, fit_static_force
 from valve_sim.identification.reporting.findings import remarks
 from valve_sim.identification.reporting.identification import static_force_json
 from valve_sim.model import Tolerances, ValveError

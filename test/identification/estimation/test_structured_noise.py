@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from valve_sim.identification.estimation.errors import ERRORS, Seen
-from valve_sim.identification.estimation.errors.bend import BEND
-from valve_sim.identification.estimation.errors.drift import DRIFT, RAMPS
-from valve_sim.identification.estimation.errors.error import Mode
-from valve_sim.identification.estimation.errors.hum import HUM
-from valve_sim.identification.estimation.errors.ringing import RINGING, RINGING_SCATTER
+from valve_sim.identification.fit.errors import ERRORS, Seen
+from valve_sim.identification.fit.errors.bend import BEND
+from valve_sim.identification.fit.errors.drift import DRIFT, RAMPS
+from valve_sim.identification.fit.errors.error import Mode
+from valve_sim.identification.fit.errors.hum import HUM
+from valve_sim.identification.fit.errors.ringing import RINGING, RINGING_SCATTER
 from valve_sim.identification.plants.protocol import Array, Contacts
 
 SPAN = 1.2e-3

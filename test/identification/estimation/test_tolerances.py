@@ -9,9 +9,9 @@ from plants.tolerances import SHEET_VALVE, declared_tolerances, deviated
 
 from identification.recordings import recorded
 from valve_sim.identification.diagnosis.identify import identify
-from valve_sim.identification.estimation.declared_values import out_of_tolerance
-from valve_sim.identification.estimation.findings import LacksSomething
-from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.fit.declared_values import out_of_tolerance
+from valve_sim.identification.fit.findings import LacksSomething
+from valve_sim.identification.fit.problem import Problem
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.declared_values import TAKEN_AS_EXACT, declared_lines
 from valve_sim.identification.selection.prediction import HeldOut, machine_values

@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from valve_sim.identification.estimation.noise import Noise
-from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.fit.noise import Noise
+from valve_sim.identification.fit.problem import Problem
 from valve_sim.identification.plants.protocol import Array, Channel, EffectChoice, ForceMap, Nuisance
 from valve_sim.model import Parameter
 

@@ -14,17 +14,17 @@ from benchmarks.campaign.declared import as_trace, declared_valve
 from identification.recordings import Short
 from identification.selection.linear_plant import COLUMNS, LinearPlant, measured, problem_of
 from valve_sim.identification.diagnosis.run import diagnose_plant
-from valve_sim.identification.estimation.problem import Problem
-from valve_sim.identification.estimation.result import Fit
-from valve_sim.identification.estimation.solver import fit
+from valve_sim.identification.fit.problem import Problem
+from valve_sim.identification.fit.result import Fit
+from valve_sim.identification.fit.result import fit
 from valve_sim.identification.plants.protocol import Array, EffectChoice, Nuisance
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.diagnosis_json import to_json
 from valve_sim.identification.reporting.text import diagnosis_text
 from valve_sim.identification.reporting.wording import limit_rows
-from valve_sim.identification.selection.detection_limits import detection_limits
-from valve_sim.identification.selection.posterior import Rivals, decide
-from valve_sim.identification.selection.search import Search
+from valve_sim.identification.fit.detection_limits import detection_limits
+from valve_sim.identification.fit.posterior import Rivals, decide
+from valve_sim.identification.fit.search import Search
 from valve_sim.model import Parameter, Valve
 
 SIGMA = 0.02 * float(CAMPAIGN_VALVE["coil_time_constant"])  # type: ignore[arg-type]

@@ -10,11 +10,11 @@ import pytest
 
 from identification.selection.linear_plant import LinearPlant
 from valve_sim.identification.estimation.linearised import Linearised
-from valve_sim.identification.estimation.noise import Noise
-from valve_sim.identification.estimation.problem import Problem
-from valve_sim.identification.estimation.result import Fit
-from valve_sim.identification.estimation.rows import RowPlaces
-from valve_sim.identification.estimation.solver import fit
+from valve_sim.identification.fit.noise import Noise
+from valve_sim.identification.fit.problem import Problem
+from valve_sim.identification.fit.result import Fit
+from valve_sim.identification.fit.rows import RowPlaces
+from valve_sim.identification.fit.result import fit
 from valve_sim.identification.plants.protocol import Array, Channel, EffectChoice, Nuisance
 from valve_sim.identification.selection.discrepancy import (
     BLOCK,

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from identification.selection.linear_plant import TIMES, LinearPlant, measured, problem_of
-from valve_sim.identification.estimation.solver import fit
+from valve_sim.identification.fit.result import fit
 from valve_sim.identification.plants.protocol import Array, ForceMap
 from valve_sim.identification.selection.force_maps import NonparametricFit, competing_curves, fit_maps
 from valve_sim.model import SimulationError

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 import pytest
 
-from valve_sim.identification.selection.posterior import (
+from valve_sim.identification.fit.posterior import (
     ALIKE,
     EXPECTED,
     FORM_IS_RIGHT,

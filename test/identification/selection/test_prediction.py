@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from identification.selection.linear_plant import COLUMNS, SAMPLES, SIGMA, LinearPlant, problem_of
-from valve_sim.identification.estimation.result import Fit, rmse
-from valve_sim.identification.estimation.solver import fit
+from valve_sim.identification.fit.result import Fit, rmse
+from valve_sim.identification.fit.result import fit
 from valve_sim.identification.plants.protocol import Array, Nuisance
 from valve_sim.identification.selection.prediction import HeldOut, machine_values
 

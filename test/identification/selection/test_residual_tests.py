@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.fit.problem import Problem
 from valve_sim.identification.plants.protocol import Array
-from valve_sim.identification.selection.residual_tests import (
+from valve_sim.identification.fit.residual_tests import (
     whiteness,
 )
 

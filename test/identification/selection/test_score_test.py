@@ -13,10 +13,10 @@ from identification.selection.linear_plant import (
     measured,
     problem_of,
 )
-from valve_sim.identification.estimation.result import Fit
-from valve_sim.identification.estimation.solver import fit
+from valve_sim.identification.fit.result import Fit
+from valve_sim.identification.fit.result import fit
 from valve_sim.identification.plants.protocol import Array, EffectChoice, Nuisance
-from valve_sim.identification.selection.score_test import log_gains
+from valve_sim.identification.fit.score_test import log_gains
 from valve_sim.model import Parameter, SimulationError
 
 

@@ -12,17 +12,17 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 from valve_sim.identification.diagnosis.experiment_design import Recommendation
-from valve_sim.identification.estimation.declared_values import DeclaredValue, declared_values, estimated_valve
-from valve_sim.identification.estimation.intervals import Interval
-from valve_sim.identification.estimation.recorded_errors import RecordedError, by_recording
-from valve_sim.identification.estimation.result import Fit
+from valve_sim.identification.fit.curves import Unexplained
+from valve_sim.identification.fit.declared_values import DeclaredValue, declared_values, estimated_valve
+from valve_sim.identification.fit.detection_limits import Limits
+from valve_sim.identification.fit.intervals import Interval
+from valve_sim.identification.fit.posterior import Grounds
+from valve_sim.identification.fit.recorded_errors import RecordedError, by_recording
+from valve_sim.identification.fit.residual_tests import Adequacy
+from valve_sim.identification.fit.result import Fit
 from valve_sim.identification.plants.protocol import Array, Plant, primary_channels
 from valve_sim.identification.plants.stroke_choice import StrokeChoice
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.selection.detection_limits import Limits
-from valve_sim.identification.selection.force_maps import Unexplained
-from valve_sim.identification.selection.posterior import Grounds
-from valve_sim.identification.selection.residual_tests import Adequacy
 from valve_sim.model import Valve
 
 PREDICTS_BETTER: Final = 10.0

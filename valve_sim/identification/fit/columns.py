@@ -13,10 +13,10 @@ from typing import Final
 
 import numpy as np
 
-from valve_sim.identification.estimation.errors import ERRORS
-from valve_sim.identification.estimation.errors.error import Mode, RecordingError, Seen
-from valve_sim.identification.estimation.errors.hum import HUM
-from valve_sim.identification.estimation.priors import Normal
+from valve_sim.identification.fit.errors import ERRORS
+from valve_sim.identification.fit.errors.error import Mode, RecordingError, Seen
+from valve_sim.identification.fit.errors.hum import HUM
+from valve_sim.identification.fit.priors import Normal
 from valve_sim.identification.fit.unknown import DIFFERENCE, Group, Law, Unknown, known
 from valve_sim.identification.plants.protocol import Array, Channel, HasSensors, Plant, Sensor
 

@@ -10,24 +10,26 @@ are learned beside a model only that leaves nothing unnamed.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final
 
 import numpy as np
 
-from valve_sim.identification.estimation.errors.error import Mode
-from valve_sim.identification.estimation.gram import gram
-from valve_sim.identification.estimation.priors import LogNormal
 from valve_sim.identification.fit.columns import Columns, columns_of, known_name
 from valve_sim.identification.fit.descent import FIRST_DAMPING, MOST, Beside, Descended, descend
-from valve_sim.identification.fit.gaussian import GONE, Gaussian, Spread
+from valve_sim.identification.fit.errors.error import Mode
+from valve_sim.identification.fit.gaussian import Gaussian, Spread
+from valve_sim.identification.fit.gram import gram
 from valve_sim.identification.fit.model import Model, Sums
 from valve_sim.identification.fit.posterior import EVEN, Evidence, Rivals, Set
+from valve_sim.identification.fit.priors import LogNormal
 from valve_sim.identification.fit.problem import Problem
 from valve_sim.identification.fit.process import SMALLEST, Process
+from valve_sim.identification.fit.result import Fit
 from valve_sim.identification.fit.ringing import WORTH, ringing_modes
-from valve_sim.identification.fit.unknown import Group, Hypothesis, Unknown, curve, unknowns_of
+from valve_sim.identification.fit.unknown import GONE, Group, Hypothesis, curve, unknowns_of
 from valve_sim.model import SimulationError
 
 HELD: Final = 0.3
@@ -70,6 +72,11 @@ class Tried:
         gaussian = self.fit.gaussian
         return gaussian.model.named(gaussian.z)
 
+    @cached_property
+    def result(self) -> Fit:
+        """The fit as what is reported of it."""
+        return Fit.of(self.fit)
+
     @property
     def evidence(self) -> Evidence:
         """The evidence of the set, as the posterior takes it."""
@@ -82,6 +89,7 @@ class Fitter:
     Args:
         problem: data and noise. rivals: what may be missing. held: sizes of errors that are known, by `known_name`.
         reads_at_rest: whether drift and hum are read while the machine is still.
+        free: names that every fit frees; default what the plant says. starts: of the first fits, values by name.
 
     Attributes:
         problem: with the errors of its recordings as columns. sizes: of the groups of errors, by name.
@@ -89,23 +97,23 @@ class Fitter:
     """
 
     def __init__(
-        self, problem: Problem, rivals: Rivals, held: Mapping[str, float] | None = None, *, reads_at_rest: bool = True
-    ) -> None:
+        self, problem: Problem, rivals: Rivals, held: Mapping[str, float] | None = None, *, reads_at_rest: bool = True,
+        free: Sequence[str] | None = None, starts: Sequence[Mapping[str, float]] | None = None,
+    ) -> None:  # fmt: skip
         plant = problem.plant
-        self.unknowns, self.rivals, self._held, self._reads = (
-            unknowns_of(plant),
-            rivals,
-            dict(held or {}),
-            reads_at_rest,
-        )
+        self.unknowns, self.rivals, self._starts = unknowns_of(plant, free), rivals, starts
+        self._held, self._reads = dict(held or {}), reads_at_rest
         self.hypotheses: dict[str, Hypothesis] = dict(self.unknowns.hypotheses)
         self.curves = {own.name: own for own in (curve(one, _force_of(problem), SPLINES) for one in plant.force_maps)}
-        self.problem = problem.with_columns(
-            Columns() if problem.is_long else columns_of(plant, {}, {}).held_at(self._held)
-        )
+        columns = Columns() if problem.is_long else columns_of(plant, {}, {}).held_at(self._held)
+        self.problem = problem.with_columns(columns)
         self.sizes = {name: self._usual(group) for name, group in self.groups.items()}
         self.base: Tried | None = None
-        self.process = Process(self.problem)
+
+    @cached_property
+    def process(self) -> Process:
+        """Something unnamed beside what is fitted; of a long recording it is not looked for."""
+        return Process(self.problem)
 
     def _usual(self, group: Group) -> float:
         """The size of an error before the data are asked."""
@@ -139,18 +147,15 @@ class Fitter:
             is_bare: whether nothing that varies of the machine is, and no stamp.
         """
         chosen = [self.curves[name] if name in self.curves else self.hypotheses[name] for name in names]
-        frees = {own.name: own for one in chosen for own in one.frees}
-        base = [frees.pop(own.name, own) for own in (*self.unknowns.base, *self.unknowns.known)]
-        base = [own for own in base if not set(own.replaces) & frees.keys()]
+        frees = {own.name: own for own in self.unknowns.base}
+        frees |= {own.name: own for one in chosen for own in one.frees}
+        known = [own for own in self.unknowns.known if not {own.name, *own.replaces} & frees.keys()]
         columns = self.problem.columns
         local = [] if is_bare else [*columns.varying, *self.unknowns.stamps]
         linear = columns.unknowns if has_columns else ()
         held = {name: value for one in chosen for name, value in one.held.items()}
-        return Model(self.problem, [*base, *frees.values(), *filter(self._is_there, (*local, *linear))], held)
-
-    def _is_there(self, own: Unknown) -> bool:
-        """Whether an error of the recordings is more than none; a bend stays, since what it would explain is not seen."""
-        return own.group is None or own.group.error == "bend" or self.size(own.group) > GONE * own.group.scale
+        errors = [own for own in (*local, *linear) if own.is_there(self.sizes)]
+        return Model(self.problem, [*frees.values(), *known, *errors], held)
 
     def descended(
         self, model: Model, values: Mapping[str, float], *, most: int = MOST, goal: float = math.inf,
@@ -161,6 +166,18 @@ class Fitter:
             return descend(model, model.at(values), self.sizes, most=most, goal=goal, beside=beside, damping=damping)
         except (SimulationError, np.linalg.LinAlgError):
             return None
+
+    def tried_at(self, values: Mapping[str, float]) -> Tried:
+        """The declared model where it is, not fitted again.
+
+        Raises:
+            SimulationError: it cannot be simulated there.
+        """
+        model = self.model(())
+        z = model.at(values)
+        here = Gaussian(model, z, model.linearise(z), self.sizes)
+        fit = Descended(here, converged=True, least=here.cost, damping=FIRST_DAMPING)
+        return Tried(fit, here.log_evidence, Spread(-math.inf, SMALLEST, 0.0))
 
     def weighed(self, names: Set, fit: Descended, *, is_fitted: bool = True, spreads: bool = True) -> Tried:
         """A fit with its evidence, at the sizes of errors that suit it.
@@ -231,6 +248,14 @@ class Fitter:
         return tried
 
     # -- errors of the recordings --------------------------------------------------------------------------------------
+
+    def fitted_plainly(self) -> Fit:
+        """The declared model, with the errors of the recordings as large as they are before the data are asked.
+
+        Raises:
+            SimulationError: it cannot be simulated from any start.
+        """
+        return Fit.of(self._plain_fit())
 
     def fitted_declared(self) -> Tried:
         """Fit the declared model, and learn the errors of the recordings beside it.
@@ -356,6 +381,21 @@ class Fitter:
     def _with_sizes(self, fit: Descended) -> float:
         suited = fit.gaussian.with_best_sizes(self.learned)
         return suited.log_evidence + suited.log_integral(self.learned)
+
+    def settled(self, tried: Tried, sizes: Mapping[str, float] | None = None) -> Fit:
+        """A fit made again with the errors of the recordings that suit it.
+
+        Args:
+            tried: the set. sizes: of the errors, by name; default the most probable beside it.
+        """
+        gaussian = tried.fit.gaussian
+        suited = gaussian.with_best_sizes(self.learned).sizes if sizes is None else {**gaussian.sizes, **sizes}
+        if max((abs(math.log(suited[name] / gaussian.sizes[name])) for name in gaussian.groups), default=0.0) < SETTLED:
+            return tried.result
+        try:
+            return Fit.of(descend(gaussian.model, gaussian.z, suited))
+        except (SimulationError, np.linalg.LinAlgError):
+            return tried.result
 
     def fit_curve(self, name: str, names: Set, values: Mapping[str, float]) -> Descended | None:
         """A smooth curve beside a set, as stiff as its own evidence says; None where it cannot be simulated."""

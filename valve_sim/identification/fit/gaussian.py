@@ -23,16 +23,14 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dpotri, dpotrs
 from scipy.special import logsumexp
 
-from valve_sim.identification.estimation.evidence import log_volume
-from valve_sim.identification.estimation.gram import gram
-from valve_sim.identification.estimation.priors import Normal, Prior, log_density_of, pulls_of
+from valve_sim.identification.fit.evidence import log_volume
+from valve_sim.identification.fit.gram import gram
 from valve_sim.identification.fit.model import Model, Sums
+from valve_sim.identification.fit.priors import Normal, Prior, log_density_of, pulls_of
 from valve_sim.identification.fit.process import LENGTHS, LOG_PRIOR_OF_TAU, SMALLEST, TAUS, Cell, Process
 from valve_sim.identification.fit.unknown import Group
 from valve_sim.identification.plants.protocol import Array
 
-GONE: Final = 0.02
-"""Of a group's scale: a size that is as good as none."""
 NO_INFORMATION: Final = 1e-290
 """Information below which an unknown has no influence at all."""
 BELOW_PEAK: Final = 12.0
@@ -200,9 +198,13 @@ class Gaussian:
 
     @cached_property
     def inverse(self) -> Array:
-        """(k + q, k + q) M⁻¹."""
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(self.M), 1e-300))
-        inverse, _ = dpotri(factored(self.M * np.outer(scale, scale)), lower=1)
+        """(k + q, k + q) M⁻¹; nothing of what has no influence at all, which stays where it is."""
+        diagonal = np.diag(self.M)
+        alive = diagonal > NO_INFORMATION
+        scale = np.where(alive, 1.0 / np.sqrt(np.where(alive, diagonal, 1.0)), 0.0)
+        unit = self.M * np.outer(scale, scale)
+        unit[~alive, ~alive] = 1.0
+        inverse, _ = dpotri(factored(unit), lower=1)
         return np.asarray((np.tril(inverse) + np.tril(inverse, -1).T) * np.outer(scale, scale))
 
     @cached_property
@@ -366,12 +368,8 @@ class Gaussian:
         """(q, q) and (q,): products of (r, q) further columns, and with the residuals, of what nothing here can follow."""
         moved, fixed = gram(self.sums.moved, columns), gram(self.sums.fixed, columns)
         cross = np.vstack([moved[:-1], fixed])
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(self.M), 1e-300))
-        factor = factored(self.M * np.outer(scale, scale))
-        right = scale[:, None] * np.column_stack([cross, self.g])
-        solved = dpotrs(factor, right, lower=1)[0]
-        own = scale[:, None] * cross
-        return gram(columns, columns) - own.T @ solved[:, :-1], moved[-1] - own.T @ solved[:, -1]
+        solved = self.inverse @ np.column_stack([cross, self.g])
+        return gram(columns, columns) - cross.T @ solved[:, :-1], moved[-1] - cross.T @ solved[:, -1]
 
 
 def _log_integral(group: Group, logs: OfSizes) -> float:

@@ -16,8 +16,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.identification.estimation.column_groups import ColumnGroup
-from valve_sim.identification.estimation.gram import gram
+from valve_sim.identification.fit.column_groups import ColumnGroup
+from valve_sim.identification.fit.gram import gram
 from valve_sim.identification.fit.problem import Problem
 from valve_sim.identification.fit.unknown import Unknown
 from valve_sim.identification.plants.protocol import Array, Direction, short_step_of

@@ -12,9 +12,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.identification.estimation.budget import Budget
-from valve_sim.identification.estimation.gram import gram
-from valve_sim.identification.estimation.noise import (
+from valve_sim.identification.fit.budget import Budget
+from valve_sim.identification.fit.columns import Columns
+from valve_sim.identification.fit.gram import gram
+from valve_sim.identification.fit.noise import (
     LARGEST_ORDER,
     SHORT_WINDOW,
     Noise,
@@ -25,9 +26,8 @@ from valve_sim.identification.estimation.noise import (
     still_runs,
     stretches,
 )
-from valve_sim.identification.estimation.priors import Prior, prior_of
-from valve_sim.identification.estimation.rows import CondensedRows, Rows
-from valve_sim.identification.fit.columns import Columns
+from valve_sim.identification.fit.priors import Prior, prior_of
+from valve_sim.identification.fit.rows import CondensedRows, Rows
 from valve_sim.identification.plants.protocol import (
     Array,
     HasSensors,

@@ -14,14 +14,16 @@ those of a few rotated sums (theory, section 6).
 
 from __future__ import annotations
 
+import itertools
+import itertools
 import math
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.identification.estimation.rows import RowPlaces
 from valve_sim.identification.fit.problem import Problem
+from valve_sim.identification.fit.rows import RowPlaces
 from valve_sim.identification.plants.protocol import Array
 
 BLOCK: Final = 8
@@ -64,7 +66,7 @@ class Process:
         counts = np.bincount(stroke) if len(order) else np.zeros(0, dtype=np.intp)
         edges = [0, *(np.flatnonzero(np.diff(stroke) | np.diff(channel)) + 1).tolist(), len(order)]
         starts: list[int] = []
-        for first, last in zip(edges, edges[1:], strict=False):
+        for first, last in itertools.pairwise(edges):
             if last > first:
                 size = max(BLOCK, math.ceil(int(counts[stroke[first]]) / MOST_BLOCKS))
                 starts.extend(range(first, last, size))

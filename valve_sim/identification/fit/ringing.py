@@ -7,9 +7,9 @@ from typing import Final
 
 import numpy as np
 
-from valve_sim.identification.estimation.errors.error import Mode
-from valve_sim.identification.estimation.errors.ringing import columns, grid, refined
 from valve_sim.identification.fit.columns import seen_by
+from valve_sim.identification.fit.errors.error import Mode
+from valve_sim.identification.fit.errors.ringing import columns, grid, refined
 from valve_sim.identification.fit.gaussian import Gaussian
 from valve_sim.identification.plants.protocol import HasSensors, Sensor
 

@@ -14,10 +14,10 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.special import logsumexp
 
-from valve_sim.identification.estimation.priors import HALF, Cauchy, Normal, Prior
 from valve_sim.identification.fit.fitter import Fitter, Tried
 from valve_sim.identification.fit.gaussian import Gaussian
 from valve_sim.identification.fit.posterior import Set
+from valve_sim.identification.fit.priors import HALF, Cauchy, Normal, Prior
 from valve_sim.identification.fit.starts import SMALL, Near, switched_on
 from valve_sim.identification.fit.unknown import Hypothesis, Unknown, released
 from valve_sim.identification.plants.protocol import Array
@@ -57,7 +57,7 @@ def log_gains(fitter: Fitter, base: Set, tried: Tried) -> dict[str, float]:
             found[name] = sum(_released(gaussian, place, own) for place in loosened)
             continue
         found[name] = -math.inf
-        moved = _moved(fitter, base, tried, own)
+        moved = [pair for size in SIZES for pair in moved_by(fitter, base, tried, own, Near((size,), has_signs=True))]
         columns += [change for _, change in moved]
         moves += [move for move, _ in moved]
     if not columns:
@@ -77,21 +77,24 @@ def _loosened(gaussian: Gaussian, own: Hypothesis) -> list[int]:
     return [place for place, one in enumerate(moving) if one.is_tolerated and names & {one.name, *one.replaces}]
 
 
-def _moved(fitter: Fitter, base: Set, tried: Tried, own: Hypothesis) -> list[tuple[Move, Array]]:
-    """Each switch of a hypothesis moved a little, and by a scale, in each shape, with the (r,) change of residuals."""
+def moved_by(fitter: Fitter, base: Set, tried: Tried, own: Hypothesis, near: Near) -> list[tuple[Move, Array]]:
+    """Each switch of a hypothesis moved alone, in each shape, with the (r,) change of the residuals.
+
+    Args:
+        fitter: of the problem. base, tried: a set that was fitted. own: what is added to it. near: by how much.
+    """
     model = fitter.model(tuple(sorted((*base, own.name))), has_columns=False)
     left, off, found = tried.fit.gaussian.sums.left, own.off(), []
     for switch in [one for one in own.frees if one.is_switch]:
         alone = replace(own, frees=tuple(one for one in own.frees if one is switch or not one.is_switch))
-        for size in SIZES:
-            for values in switched_on(alone, Near((size,), has_signs=True)):
-                by = switch.coordinate(values[switch.name]) - switch.start
-                try:
-                    change = model.residuals(model.at({**tried.values, **off, **values})) - left
-                except SimulationError:
-                    continue
-                if by != 0.0:
-                    found.append((Move(own.name, switch, by), change))
+        for values in switched_on(alone, near):
+            by = switch.coordinate(values[switch.name]) - switch.start
+            try:
+                change = model.residuals(model.at({**tried.values, **off, **values})) - left
+            except SimulationError:
+                continue
+            if by != 0.0:
+                found.append((Move(own.name, switch, by), change))
     return found
 
 

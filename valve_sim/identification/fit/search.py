@@ -22,7 +22,7 @@ from typing import Final
 
 import numpy as np
 
-from valve_sim.identification.estimation.budget import OutOfWorkError
+from valve_sim.identification.fit.budget import OutOfWorkError
 from valve_sim.identification.fit.descent import Descended
 from valve_sim.identification.fit.fitter import Fitter, Tried
 from valve_sim.identification.fit.posterior import EVEN, Evidence, Posterior, Set, posterior_of, rivals_of

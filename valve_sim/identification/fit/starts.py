@@ -9,10 +9,12 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from valve_sim.identification.estimation.priors import Normal
 from valve_sim.identification.fit.fitter import Fitter, Tried
+from valve_sim.identification.fit.gram import sum_squares
 from valve_sim.identification.fit.model import Model
 from valve_sim.identification.fit.posterior import Set
+from valve_sim.identification.fit.priors import Normal
+from valve_sim.identification.fit.problem import Problem
 from valve_sim.identification.fit.unknown import Hypothesis, Unknown
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.model import SimulationError
@@ -162,3 +164,32 @@ def polished(fitter: Fitter, names: Set, tried: Tried) -> Iterator[dict[str, flo
     for scatter in (1.0, 3.0, 10.0):
         z: Array = gaussian.z + np.where(moves, scatter * spreads * random.standard_normal(len(spreads)), 0.0)
         yield gaussian.model.named(np.clip(z, gaussian.lower, gaussian.upper))
+
+
+WORSE: Final = 2.0
+"""Times the sum of squares without effects, up to which all of them together make nothing much worse: one that begins
+with the wrong sign may lead to the right one."""
+
+
+def all_near_off(problem: Problem, effects: Sequence[Hypothesis], warm: Mapping[str, float]) -> dict[str, float] | None:
+    """All effects together, so near off that they make nothing much worse; None where even the nearest do.
+
+    Each may be small beside what drives the machine and all of them together not, most of all where scales are as
+    large as of another machine: a fit that begins far beyond the data is slow to simulate and does not come back.
+    """
+
+    def squares(values: Mapping[str, float]) -> float:
+        try:
+            return sum_squares(problem.rows.residuals(values))
+        except SimulationError:
+            return math.inf
+
+    most = WORSE * squares(warm)
+    for share in (1.0, 0.1, 0.01, 0.001):
+        near = Near((share * SMALL,), has_shapes=False)
+        start = dict(warm)
+        for own in effects:
+            start |= next(switched_on(own, near))
+        if squares(start) <= most:
+            return start
+    return None

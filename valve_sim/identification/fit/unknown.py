@@ -17,7 +17,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from valve_sim.identification.estimation.priors import Cauchy, Normal, Prior, lowest, prior_of
+from valve_sim.identification.fit.priors import Cauchy, Normal, Prior, lowest, prior_of
 from valve_sim.identification.plants.protocol import (
     Array,
     EffectChoice,
@@ -38,6 +38,9 @@ SIZES: Final = 71
 """Sizes of a group that are looked at, even in the logarithm."""
 SMALLEST, LARGEST = 1e-3, 1e2
 """Shares of a group's scale between which its size is looked for: next to nothing, and far beyond."""
+
+GONE: Final = 0.02
+"""Of a group's scale: a size that is as good as none."""
 
 Law = Literal["cauchy", "normal", "known"]
 
@@ -151,6 +154,15 @@ class Unknown:
     def slope(self, z: float) -> float:
         """D value / d z; infinite where the value is."""
         return 1.0 if self.parameter is None else value_slope(self.parameter, z)
+
+    def is_there(self, sizes: Mapping[str, float]) -> bool:
+        """Whether it is more than none, given sizes of groups by name; those that are missing have their scale.
+
+        A bend is always there: what it would explain is not seen otherwise.
+        """
+        if self.group is None or self.group.error == "bend":
+            return True
+        return sizes.get(self.group.name, self.group.scale) > GONE * self.group.scale
 
     def moves(self, z: float) -> dict[str, float]:
         """How the values of a run move with z, by name."""
@@ -268,11 +280,18 @@ class Unknowns:
 STAMPS: Final = "command_stamps"
 
 
-def unknowns_of(plant: Plant) -> Unknowns:
-    """What may be freed of a plant, but for the errors of its recordings."""
+def unknowns_of(plant: Plant, free: Sequence[str] | None = None) -> Unknowns:
+    """What may be freed of a plant, but for the errors of its recordings.
+
+    Args:
+        plant: the machine. free: names that every fit frees; default what the plant says.
+
+    Raises:
+        KeyError: there is no such name.
+    """
     groups = {own.sigma: Group(STAMPS, STAMPS, own.sigma) for own in plant.timing_errors}
     return Unknowns(
-        tuple(freed(plant, name) for name in plant.base),
+        tuple(freed(plant, name) for name in (plant.base if free is None else free)),
         tuple(known(own) for own in plant.nuisances),
         tuple(known(own, groups[own.sigma]) for own in plant.timing_errors),
         {name: hypothesis(plant, choice) for name, choice in plant.effects.items()},

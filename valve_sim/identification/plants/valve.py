@@ -355,7 +355,7 @@ class ValvePlant:
         """
         found: dict[int, Sensor] = {}
         valve = self._model.simulated(values)
-        for index, trace in enumerate(self.traces):
+        for index in range(len(self.traces)):
             for place in self._channels_of(index):
                 kind = self._channels[place].kind
                 if kind == "position":

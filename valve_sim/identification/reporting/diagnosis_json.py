@@ -8,6 +8,7 @@ from typing import Any
 from valve_sim.files.json_text import plain_mapping
 from valve_sim.identification.diagnosis.experiment_design import Recommendation
 from valve_sim.identification.diagnosis.run import Diagnosis, State
+from valve_sim.identification.fit.curves import Unexplained
 from valve_sim.identification.plants.protocol import primary_channels
 from valve_sim.identification.plants.tolerances import GROUP
 from valve_sim.identification.reporting.declared_values import declared_json
@@ -18,7 +19,6 @@ from valve_sim.identification.reporting.recording_state import recording_json
 from valve_sim.identification.reporting.summary import recording_advice, summarise
 from valve_sim.identification.reporting.units import in_unit
 from valve_sim.identification.reporting.wording import headline, meanings
-from valve_sim.identification.selection.force_maps import Unexplained
 
 
 def to_json(diagnosis: Diagnosis) -> dict[str, Any]:

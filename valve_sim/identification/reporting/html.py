@@ -19,7 +19,7 @@ from valve_sim import __version__
 from valve_sim.files.json_text import finite_or_none
 from valve_sim.files.whole_files import write_whole
 from valve_sim.identification.diagnosis.run import Candidate, Diagnosis, State
-from valve_sim.identification.estimation.noise import Noise
+from valve_sim.identification.fit.noise import Noise
 from valve_sim.identification.plants.effect_titles import named_value, title_of, titles_of
 from valve_sim.identification.plants.protocol import Channel, primary_channels
 from valve_sim.identification.plants.valve import ValvePlant

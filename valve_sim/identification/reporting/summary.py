@@ -7,7 +7,7 @@ from collections.abc import Collection
 from typing import Final
 
 from valve_sim.identification.diagnosis.run import Diagnosis, Verdict
-from valve_sim.identification.estimation.budget import STROKES_A_SECOND
+from valve_sim.identification.fit.budget import STROKES_A_SECOND
 from valve_sim.identification.plants.effect_titles import named, what_is_missing
 from valve_sim.identification.plants.protocol import Advice, advice_of
 from valve_sim.identification.reporting.wording import declared_effects, percent

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
 from valve_sim.identification.diagnosis.run import Diagnosis, Verdict
-from valve_sim.identification.estimation.result import effective_rmse
+from valve_sim.identification.fit.result import effective_rmse
 from valve_sim.identification.plants.effect_titles import capitalised, named, title_of, what_is_missing
 from valve_sim.identification.plants.own import OwnPlant
 from valve_sim.identification.plants.protocol import Plant, primary_channels
