@@ -15,7 +15,6 @@ those of a few rotated sums (theory, section 6).
 from __future__ import annotations
 
 import itertools
-import itertools
 import math
 from typing import Final, NamedTuple
 
