@@ -211,6 +211,12 @@ def predicting(whole: Gaussian, rest: Gaussian, step: Array) -> Array:
     return move
 
 
+def left_by(gaussian: Gaussian) -> Array:
+    """(r,) residuals of a fit where it ended, the errors of the sensors at their best; none of a long recording."""
+    coefficients = predicting(gaussian, gaussian, np.zeros(gaussian.count))[gaussian.count :]
+    return np.asarray(gaussian.sums.left + gaussian.sums.fixed @ coefficients)
+
+
 def _solved(matrix: Array, right: Array) -> Array:
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     unit = matrix * np.outer(scale, scale) + LITTLE * np.eye(len(matrix))
