@@ -307,13 +307,17 @@ class Fitter:
 
     def _read_at_rest(self, fit: Descended) -> bool:
         """Take the sizes of drift and hum from the samples at rest alone; whether there are any."""
-        names = [name for name, group in self.groups.items() if group.at_rest and group.is_learned]
+        groups = {name: group for name, group in self.groups.items() if group.is_learned}
+        names = [name for name, group in groups.items() if group.at_rest]
+        read = {groups[name].key for name in names}
+        # Beside a hum its channel may drift: what is steady there may be the model's error.
+        beside = [name for name, group in groups.items() if group.error == "drift" and group.key in read]
         own = fit.gaussian
         if not names or not len(own.sums.moved):
             return False
         rows = own.sums.rows[~self.problem.rows.places.moves]
         still = Sums(own.sums.moved, own.sums.fixed, gram(rows, rows), own.sums.constant)
-        sizes = Gaussian(own.model, own.z, still, self.sizes).with_best_sizes(names).sizes
+        sizes = Gaussian(own.model, own.z, still, self.sizes).with_best_sizes({*names, *beside}).sizes
         self.sizes.update({name: sizes[name] for name in names if name in sizes})
         return True
 
