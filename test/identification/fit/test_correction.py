@@ -72,6 +72,7 @@ def test_friction_that_is_sure_is_named_and_applied() -> None:
     assert grade.word == "named"
     assert grade.factor > 1.05
     assert correction.after == pytest.approx(correction.noise, rel=0.1)
+    assert correction.predicted == pytest.approx(correction.after, rel=0.1)
 
 
 def test_what_lacks_nothing_stays_as_it_is() -> None:

@@ -24,6 +24,7 @@ from valve_sim.identification.fit.held_out import machine_values
 from valve_sim.identification.fit.left_out import (
     LeftOut,
     Part,
+    expected_log_rms,
     left_by,
     left_out,
     parts_of,
@@ -332,7 +333,7 @@ class Correction:
         names: what is corrected, or the name of a curve; what would be, where it is not applied. by: what has chosen it.
         is_applied: whether it is to be used.
         conditions: errors of what is left out. is_refitted: whether by real refits, and not from the sums alone.
-        noise: of the response, in its unit.
+        noise: of the response, in its unit. predicted: what the posterior expects of the error after.
         alternatives: other sets that predict as well. spread: rms of how far these differ on the recorded strokes.
         channels: by kind. scores, tried: of all sets. parts: what was left out. cut_short: what the budget did not allow.
     """
@@ -343,6 +344,7 @@ class Correction:
     conditions: tuple[ConditionError, ...]
     is_refitted: bool
     noise: float
+    predicted: float
     alternatives: tuple[Set, ...]
     spread: float
     channels: Mapping[str, ChannelMisfit]
@@ -365,6 +367,14 @@ class Correction:
     def after(self) -> float:
         """The same of the corrected model."""
         return _mean(own.after for own in self.conditions)
+
+    @property
+    def best(self) -> float:
+        """The same of the set that predicts best, by the sums; nan without conditions."""
+        if not self.scores:
+            return math.nan
+        leads, here = (_mean_log(self.scores[names]) for names in (near(self.scores)[0], self.names))
+        return self.after * math.exp(leads - here)
 
     @property
     def share(self) -> float:
@@ -456,9 +466,9 @@ def _outcome(scoring: Scoring, choice: Choice) -> Correction:
     ]
     alternatives = [one for one in near(scoring.scores) if one != names] if scoring.scores else []
     return Correction(
-        names, choice.by, is_applied, tuple(conditions), is_refitted, noise.sigma, tuple(alternatives),
-        noise.innovation * _spread(scoring, names, alternatives), _channels(scoring, names), scoring.scores,
-        scoring.tried, tuple(parts), tuple(scoring.cut_short),
+        names, choice.by, is_applied, tuple(conditions), is_refitted, noise.sigma, _predicted(scoring, names),
+        tuple(alternatives), noise.innovation * _spread(scoring, names, alternatives), _channels(scoring, names),
+        scoring.scores, scoring.tried, tuple(parts), tuple(scoring.cut_short),
     )  # fmt: skip
 
 
@@ -469,6 +479,16 @@ def _refits(fitter: Fitter, names: Set, fit: Descended, parts: Sequence[Part]) -
     except (SimulationError, np.linalg.LinAlgError):
         return []
     return [math.sqrt(max(own.squares, 1e-300) / own.samples) for own in found]
+
+
+def _predicted(scoring: Scoring, names: Set) -> float:
+    """What the posterior expects of the error of unseen conditions, in the response's unit; nan where none is left out."""
+    if names not in scoring.scores:
+        return math.nan
+    tried = scoring.tried[names]
+    tau = tried.spread.tau if tried.spread.log_evidence > tried.plain else 0.0
+    logs = expected_log_rms(tried.fit.gaussian, scoring.parts, tau)
+    return scoring.search.problem.noise.innovation * math.exp(float(np.mean(logs)))
 
 
 def _spread(scoring: Scoring, names: Set, alternatives: Sequence[Set]) -> float:
