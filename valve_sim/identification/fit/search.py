@@ -302,8 +302,8 @@ class Search:
         self.tried[best] = found
         for names in near:
             known = self.tried[names] if names in self.tried else self.begun.pop(names)
-            fit = fitter.descended(fitter.model(names), known.values)
-            self._keep(names, known if fit is None else fitter.weighed(names, fit))
+            again = fitter.descended(fitter.model(names), known.values)
+            self._keep(names, known if again is None else fitter.weighed(names, again))
 
     # -- smooth curves -------------------------------------------------------------------------------------------------
 
