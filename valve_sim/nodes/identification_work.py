@@ -49,7 +49,7 @@ _UNKNOWN: Final = math.nan
 IDENTIFIED_FILE: Final = "identified.yaml"
 CORRECTED_FILE: Final = "corrected.yaml"
 BEFORE_FILE: Final = "before.yaml"
-_NAMED: Final = ("none", "effects")
+_NAMED: Final = ("none", "effects", "partly")
 Progress = Callable[[str, float], None]
 
 
@@ -343,7 +343,7 @@ def _diagnosed(
     result = diagnose([trace], [], declared, progress, Budget.of_seconds(settings.budget))
     file = folder / CORRECTED_FILE
     summary, report = summarise(result), to_json(result)
-    if result.verdict.kind == "effects" and (left := what_is_left(result)):
+    if result.verdict.is_corrected and (left := what_is_left(result)):
         summary += f" Beside it {left}."
     provenance = _provenance(settings, summary)
     save_valve(file, result.valve, provenance)

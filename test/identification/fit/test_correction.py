@@ -20,6 +20,7 @@ from valve_sim.identification.fit.correction import (
     by_prediction,
     chosen,
     correct,
+    elsewhere,
     falls,
     near,
     refitted_errors,
@@ -71,6 +72,7 @@ def test_friction_that_is_sure_is_named_and_applied() -> None:
     assert grade.word == "named"
     assert grade.factor > 1.05
     assert correction.after == pytest.approx(correction.noise, rel=0.1)
+    assert correction.predicted == pytest.approx(correction.after, rel=0.1)
 
 
 def test_what_lacks_nothing_stays_as_it_is() -> None:
@@ -90,6 +92,14 @@ def test_what_the_budget_cuts_short_is_said(monkeypatch: pytest.MonkeyPatch) -> 
     assert not correction.is_refitted
     assert correction.cut_short == ("look-alikes", "refits without each condition")
     assert budget.spent == spent
+
+
+def test_how_far_a_correction_changes_pulses_that_nobody_recorded_is_told() -> None:
+    search = searched()
+    correction, _ = closed(search)
+    found = elsewhere(correction, search.problem.plant)
+    assert len(found) == len(search.problem.plant.experiments)
+    assert max(own.moved for own in found) > correction.noise
 
 
 # -- the rule, on tables that are made up ------------------------------------------------------------------------------

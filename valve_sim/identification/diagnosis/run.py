@@ -19,13 +19,16 @@ from valve_sim.identification.diagnosis.experiment_design import Recommendation,
 from valve_sim.identification.diagnosis.followed_positions import follows_positions
 from valve_sim.identification.diagnosis.outcome import Candidate, Diagnosis, Rival, State, Verdict, Worth
 from valve_sim.identification.fit.budget import Budget
+from valve_sim.identification.fit.correction import Correction, correct, is_curve
 from valve_sim.identification.fit.curves import Unexplained, unexplained
 from valve_sim.identification.fit.descent import MOST
 from valve_sim.identification.fit.detection_limits import detection_limits
+from valve_sim.identification.fit.grades import Grade, grades, kind_of
 from valve_sim.identification.fit.held_out import HeldOut, predicted
 from valve_sim.identification.fit.intervals import Interval, covariance_interval, profile_interval
 from valve_sim.identification.fit.noise import Noise
 from valve_sim.identification.fit.posterior import (
+    EVEN,
     LARGEST_CLASS,
     Decision,
     Grounds,
@@ -53,6 +56,8 @@ SAMPLES_EACH: Final = 10
 """Samples for each parameter, below which a model with all effects would explain noise, too."""
 NOISIER: Final = 1.5
 """Times what the best model leaves, beyond which the noise that was taken from the largest one is too much of it."""
+WORSE: Final = 1.05
+"""Times the error of separate strokes, from which a correction makes them worse and is not applied."""
 LISTED: Final = 30
 """Most candidates in the report."""
 
@@ -195,7 +200,9 @@ class DiagnosisSession:
         decision = self._decided().decision
         result = self._fit_of(decision)
         exact = covariance_interval if decision.unnamed > PROMISING else _profile
-        return VerdictWithIntervals(self._verdict(decision), {name: exact(result, name) for name in result.free})
+        return VerdictWithIntervals(
+            self._posterior_verdict(decision), {name: exact(result, name) for name in result.free}
+        )
 
     def end(self, *, is_full: bool = False) -> Diagnosis:
         """Search, decide, and describe the result.
@@ -206,30 +213,35 @@ class DiagnosisSession:
         self._run(is_full=is_full)
         grounds = self._decided()
         posterior, decision = grounds.posterior, grounds.decision
+        self._say("what predicts unseen strokes", 0.9)
+        correction = correct(self._search, decision)
         self._say("intervals", 0.95)
-        result = self._settled(decision)
+        fitter, declared = self._search.fitter, self._search.tried[()]
+        result = fitter.settled(correction.fit).widened()
         # Before and after are compared with the same errors of the recordings: else these would hide what was missing.
-        sizes, is_declared = result.gaussian.sizes, self._fit_of(decision) is self.declared
-        result, fitter = result.widened(), self._search.fitter
-        base = result if is_declared else fitter.settled(self._search.tried[()], sizes).widened()
-        verdict = self._verdict(decision)
+        base = result if correction.fit is declared else fitter.settled(declared, result.gaussian.sizes).widened()
         before = self._state(base, profile=False)
-        size = self._search.tried[()].spread.tau if verdict.kind == "unknown" else 0.0
-        after = (
-            before
-            if result is base and size == 0.0
-            else self._state(result, profile=verdict.kind == "effects", tau=size)
-        )
-        maps = self._unexplained() if verdict.kind == "unknown" else ()
-        limits = detection_limits(self._search.fitter, self._search.tried[()]) if verdict.kind == "none" else {}
+        after = before if result is base else self._state(result, profile=True)
+        if after.holdout_rmse > WORSE * before.holdout_rmse:
+            # Separate strokes have the last word.
+            correction, result = replace(correction, is_applied=False), base
+            after = before
+        graded = grades(correction, decision, posterior.inclusion())
+        verdict = self._verdict(decision, correction, graded)
+        if verdict.kind == "unknown":
+            after = before = self._state(base, profile=False, tau=declared.spread.tau)
+        has_no_name = verdict.kind == "unknown" or (verdict.kind == "partly" and decision.unnamed > EVEN)
+        maps = self._unexplained() if has_no_name else ()
+        limits = detection_limits(fitter, declared) if verdict.kind == "none" else {}
         budget = self._search.problem.budget
+        untried = [*self._search.untried, *self._search.impossible]
         return Diagnosis(
             self._plant, before, after, verdict, self._candidates(posterior), posterior.inclusion(),
             maps[0] if maps else None, maps,
             tuple(channel.name for channel in self._plant.channels), self._recommendation(verdict, decision),
-            self._held_out_gain(base, result),
-            tuple(map(words, [*self._search.untried, *self._search.impossible])), budget.spent, budget.strokes, limits,
-            self._rivals(posterior, decision, result), grounds=grounds,
+            self._held_out_gain(base, result), (*map(words, untried), *correction.cut_short),
+            budget.spent, budget.strokes, limits, self._rivals(posterior, decision, result), grounds=grounds,
+            correction=correction, grades=graded,
         )  # fmt: skip
 
     def _run(self, *, is_full: bool) -> None:
@@ -273,11 +285,6 @@ class DiagnosisSession:
         """The corrected model: what is named, or the refitted declared model where nothing is."""
         return self.declared if decision.kind == "unknown" else self._search.tried[decision.names].result
 
-    def _settled(self, decision: Decision) -> Fit:
-        """The corrected model, with errors of the recordings that suit it."""
-        names = () if decision.kind == "unknown" else decision.names
-        return self._search.fitter.settled(self._search.tried[names])
-
     def _share(self, result: Fit) -> float:
         """How much of the squared error of the declared model beyond noise a fit explains, from 0 to 1."""
         before, after = self._left(self.declared), self._left(result)
@@ -307,11 +314,26 @@ class DiagnosisSession:
             for name, gain in gains.items()
         }
 
-    def _verdict(self, decision: Decision) -> Verdict:
+    def _verdict(self, decision: Decision, correction: Correction, graded: tuple[Grade, ...]) -> Verdict:
+        """What is claimed of a correction."""
+        ended = self._search.problem.budget.is_used_up and bool(self._search.untried or correction.cut_short)
+        names, others, probability = decision.names, decision.others, decision.probability
+        if correction.is_applied:
+            names = () if is_curve(correction.names) else correction.names
+            if names != decision.names:
+                others = {one.effect: one.alike for one in graded}
+                probability = min((one.probability for one in graded), default=decision.unnamed)
+        kind = kind_of(correction, graded, decision)
+        share = self._share(correction.fit.result if correction.is_applied else self._search.tried[names].result)
+        worth = self._worth(names) if names in self._search.tried else {}
+        return Verdict(kind, names, others, probability, decision.unnamed, share, self._strokes, worth, ended)
+
+    def _posterior_verdict(self, decision: Decision) -> Verdict:
+        """The verdict of the posterior alone."""
+        ended = self._search.problem.budget.is_used_up and bool(self._search.untried)
         return Verdict(
             decision.kind, decision.names, decision.others, decision.probability, decision.unnamed,
-            self._share(self._search.tried[decision.names].result), self._strokes, self._worth(decision.names),
-            self._search.problem.budget.is_used_up and bool(self._search.untried),
+            self._share(self._search.tried[decision.names].result), self._strokes, self._worth(decision.names), ended,
         )  # fmt: skip
 
     # -- what a report has beside --------------------------------------------------------------------------------------

@@ -15,6 +15,7 @@ import numpy as np
 
 from valve_sim.identification.fit.errors import ERRORS
 from valve_sim.identification.fit.errors.error import Mode, RecordingError, Seen
+from valve_sim.identification.fit.errors.hum import HUM
 from valve_sim.identification.fit.priors import Normal
 from valve_sim.identification.fit.unknown import DIFFERENCE, Group, Law, Unknown, known
 from valve_sim.identification.plants.protocol import Array, Channel, HasSensors, Plant, Sensor
@@ -101,14 +102,16 @@ def columns_of(plant: Plant, values: Mapping[str, float], modes: Mapping[int, tu
         channel = plant.channels[index]
         seen = seen_by(sensor, channel, shown[index], modes.get(index, ()))
         key = index if sensor.alike is None else sensor.alike
-        shows_rest = sensor.is_true_at_rest and rests_often(plant.channels[key])
+        rests = rests_often(plant.channels[key])
         parts, first[index] = [], len(unknowns)
         for error in ERRORS:
             share = sensor.shares.get(error.name, error.share)
             own = np.empty((0, 0)) if error.columns is None or share == 0.0 else error.columns(seen)
             if not own.shape[1]:
                 continue
-            group = _group(key, error, share * sensor.span, reads_at_rest=shows_rest)
+            # Where the model may be wrong at rest, what stays there is not the sensor's; what hums is.
+            reads = rests and (sensor.is_true_at_rest or error is HUM)
+            group = _group(key, error, share * sensor.span, reads_at_rest=reads)
             parts.append(own)
             unknowns += [
                 Unknown(

@@ -20,9 +20,12 @@ import numpy as np
 from valve_sim.identification.fit.descent import Descended, descend
 from valve_sim.identification.fit.fitter import Fitter, Tried
 from valve_sim.identification.fit.gaussian import Gaussian
+from valve_sim.identification.fit.held_out import machine_values
 from valve_sim.identification.fit.left_out import (
     LeftOut,
     Part,
+    expected_log_rms,
+    left_by,
     left_out,
     parts_of,
     predicting,
@@ -33,7 +36,7 @@ from valve_sim.identification.fit.posterior import EVEN, SURE, Decision, Set
 from valve_sim.identification.fit.score_test import log_gains
 from valve_sim.identification.fit.search import Search, added, without
 from valve_sim.identification.fit.starts import starts_of
-from valve_sim.identification.plants.protocol import Array, primary_channels
+from valve_sim.identification.plants.protocol import Array, Plant, primary_channels
 from valve_sim.model import SimulationError
 
 FALLS: Final = math.log(1.5)
@@ -44,10 +47,12 @@ CURVE_TAKES: Final = 0.1
 """Ln of the error that a curve must take off beyond the best set of names: a tenth."""
 CURVE_SIZE: Final = 4
 """Numbers that a smooth curve is worth, whatever its splines."""
-EQUAL: Final = 0.02
-"""Difference in ln of the error by which sets are equal, however small its standard error."""
+MATTERS: Final = math.log(1.05)
+"""Ln of the factor between errors, below which they are equal, however small its standard error."""
 SWAPS: Final = 4
 """Look-alikes of each member, by the score test, that are fitted in its place."""
+COMPARED: Final = 4
+"""Sets that predict as well, of which it is asked how far they differ on other commands."""
 ROUNDS: Final = 2
 """Of swaps, where these change the choice."""
 SWAPPED: Final = 12
@@ -91,13 +96,17 @@ class Choice(NamedTuple):
 
 def near(scores: Scores) -> list[Set]:
     """The sets that predict as well as the best within one standard error, the best first."""
-    best = min(scores, key=lambda names: (float(np.mean(scores[names].logs)), names))
+    best = min(scores, key=lambda names: _mean_log(scores[names]))
 
     def is_near(names: Set) -> bool:
         rise, error = scores[best].rise(scores[names])
-        return rise <= max(error, EQUAL)
+        return rise <= max(error, MATTERS)
 
-    return sorted(filter(is_near, scores), key=lambda names: float(np.mean(scores[names].logs)))
+    return sorted(filter(is_near, scores), key=lambda names: _mean_log(scores[names]))
+
+
+def _mean_log(score: Score) -> float:
+    return float(np.mean(score.logs))
 
 
 def by_prediction(scores: Scores) -> Set:
@@ -113,9 +122,11 @@ def by_prediction(scores: Scores) -> Set:
 
 
 def _smallest(scores: Scores) -> Set:
-    found = min(near(scores), key=lambda names: scores[names].size)
+    size = min(scores[names].size for names in near(scores))
+    # One that is near because its errors scatter gives way to a better one that is as small.
+    found = min((names for names in scores if scores[names].size <= size), key=lambda names: _mean_log(scores[names]))
     rise, error = scores[found].rise(scores[()])
-    return found if found == () or rise > max(DECISIVE * error, EQUAL) else ()
+    return found if found == () or rise > max(DECISIVE * error, MATTERS) else ()
 
 
 def falls(scores: Scores, names: Set) -> bool:
@@ -144,7 +155,7 @@ def agrees(scores: Scores, names: Set) -> bool:
         return False
     best = near(scores)[0]
     rise, error = scores[best].rise(scores[names])
-    return rise <= max(error, EQUAL) and scores[names].rise(scores[()])[0] >= 0.0
+    return rise <= max(error, MATTERS) and scores[names].rise(scores[()])[0] >= 0.0
 
 
 # -- what is scored ----------------------------------------------------------------------------------------------------
@@ -322,7 +333,7 @@ class Correction:
         names: what is corrected, or the name of a curve; what would be, where it is not applied. by: what has chosen it.
         is_applied: whether it is to be used.
         conditions: errors of what is left out. is_refitted: whether by real refits, and not from the sums alone.
-        noise: of the response, in its unit.
+        noise: of the response, in its unit. predicted: what the posterior expects of the error after.
         alternatives: other sets that predict as well. spread: rms of how far these differ on the recorded strokes.
         channels: by kind. scores, tried: of all sets. parts: what was left out. cut_short: what the budget did not allow.
     """
@@ -333,6 +344,7 @@ class Correction:
     conditions: tuple[ConditionError, ...]
     is_refitted: bool
     noise: float
+    predicted: float
     alternatives: tuple[Set, ...]
     spread: float
     channels: Mapping[str, ChannelMisfit]
@@ -357,10 +369,50 @@ class Correction:
         return _mean(own.after for own in self.conditions)
 
     @property
+    def best(self) -> float:
+        """The same of the set that predicts best, by the sums; nan without conditions."""
+        if not self.scores:
+            return math.nan
+        leads, here = (_mean_log(self.scores[names]) for names in (near(self.scores)[0], self.names))
+        return self.after * math.exp(leads - here)
+
+    @property
     def share(self) -> float:
         """The part of the misfit beyond noise that it removes on unseen conditions; nan where there is none."""
         gap = self.before - self.noise
         return (self.before - self.after) / gap if gap > 0.0 else math.nan
+
+
+class Elsewhere(NamedTuple):
+    """Commands that were not recorded.
+
+    Attributes:
+        words: what they are. moved: rms by which the correction changes the response there, in its unit.
+        spread: rms of how far other sets that predict as well differ from it there.
+    """
+
+    words: str
+    moved: float
+    spread: float
+
+
+def elsewhere(correction: Correction, plant: Plant) -> tuple[Elsewhere, ...]:
+    """How far a correction is to be believed on commands that a plant knows and nobody has recorded."""
+    sets = [(), correction.names, *correction.alternatives[:COMPARED]]
+    values = [machine_values(correction.tried[names].result) for names in sets]
+    found = []
+    for experiment in plant.experiments:
+        try:
+            declared, here, *others = [_response(experiment.simulated(own)) for own in values]
+        except SimulationError:
+            continue
+        spread = math.sqrt(float(np.mean([np.mean(np.square(own - here)) for own in others]))) if others else 0.0
+        found.append(Elsewhere(experiment.words, math.sqrt(float(np.mean(np.square(declared - here)))), spread))
+    return tuple(found)
+
+
+def _response(plant: Plant) -> Array:
+    return np.concatenate([plant.channels[index].data for index in primary_channels(plant)])
 
 
 def _mean(errors: Iterable[float]) -> float:
@@ -414,9 +466,9 @@ def _outcome(scoring: Scoring, choice: Choice) -> Correction:
     ]
     alternatives = [one for one in near(scoring.scores) if one != names] if scoring.scores else []
     return Correction(
-        names, choice.by, is_applied, tuple(conditions), is_refitted, noise.sigma, tuple(alternatives),
-        noise.innovation * _spread(scoring, names, alternatives), _channels(scoring, names), scoring.scores,
-        scoring.tried, tuple(parts), tuple(scoring.cut_short),
+        names, choice.by, is_applied, tuple(conditions), is_refitted, noise.sigma, _predicted(scoring, names),
+        tuple(alternatives), noise.innovation * _spread(scoring, names, alternatives), _channels(scoring, names),
+        scoring.scores, scoring.tried, tuple(parts), tuple(scoring.cut_short),
     )  # fmt: skip
 
 
@@ -429,24 +481,38 @@ def _refits(fitter: Fitter, names: Set, fit: Descended, parts: Sequence[Part]) -
     return [math.sqrt(max(own.squares, 1e-300) / own.samples) for own in found]
 
 
+def _predicted(scoring: Scoring, names: Set) -> float:
+    """What the posterior expects of the error of unseen conditions, in the response's unit; nan where none is left out."""
+    if names not in scoring.scores:
+        return math.nan
+    tried = scoring.tried[names]
+    tau = tried.spread.tau if tried.spread.log_evidence > tried.plain else 0.0
+    logs = expected_log_rms(tried.fit.gaussian, scoring.parts, tau)
+    return scoring.search.problem.noise.innovation * math.exp(float(np.mean(logs)))
+
+
 def _spread(scoring: Scoring, names: Set, alternatives: Sequence[Set]) -> float:
     """Rms of how far other sets that predict as well differ from a set, in standard deviations of the noise."""
+    if not alternatives:
+        return 0.0
     seen = response_in_motion(scoring.search.problem)
-    here = scoring.tried[names].fit.gaussian.left_at_best[seen]
-    squares = [np.mean(np.square(scoring.tried[one].fit.gaussian.left_at_best[seen] - here)) for one in alternatives]
-    return math.sqrt(float(np.mean(squares))) if squares else 0.0
+    here = left_by(scoring.tried[names].fit.gaussian)
+    apart = [(left_by(scoring.tried[one].fit.gaussian) - here)[seen] for one in alternatives]
+    return math.sqrt(float(np.mean([np.mean(np.square(own)) for own in apart])))
 
 
 def _channels(scoring: Scoring, names: Set) -> dict[str, ChannelMisfit]:
-    """What each kind of channel leaves in motion, before and after."""
-    problem, places = scoring.search.problem, scoring.search.problem.rows.places
+    """What each kind of channel leaves in motion, before and after; nothing is said of a long recording."""
+    problem = scoring.search.problem
+    if problem.is_long:
+        return {}
+    places, found = problem.rows.places, dict[str, ChannelMisfit]()
     kinds = np.array([own.kind for own in problem.plant.channels])[places.channel]
-    left = [scoring.tried[one].fit.gaussian.left_at_best for one in ((), names)]
-    found = {}
+    left = [left_by(scoring.tried[one].fit.gaussian) for one in ((), names)]
     for kind, noise in problem.noises.items():
         rows = (kinds == kind) & places.moves
         rows = rows if rows.any() else kinds == kind
-        if rows.any() and all(map(len, left)):
+        if rows.any():
             before, after = (noise.innovation * math.sqrt(float(np.mean(np.square(own[rows])))) for own in left)
             found[kind] = ChannelMisfit(noise.sigma, before, after)
     return found

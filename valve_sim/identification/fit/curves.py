@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from valve_sim.identification.fit.fitter import Fitter, Tried
-from valve_sim.identification.fit.result import Fit
 from valve_sim.identification.plants.protocol import Array, ForceMap
 from valve_sim.model.effects import basis
 
@@ -62,8 +60,9 @@ def _described(own: ForceMap, fitter: Fitter, tried: Tried, base: Tried) -> Unex
     count = len(frees)
     at = np.linspace(own.low, own.high, POINTS_AN_INTERVAL * (count - 3) + 1)
     shapes = basis(at, own.low, own.high, count) @ _ways(own, fitter)
-    force, covariance = shapes @ _coefficients(tried.result, frees_of(fitter, own)), tried.result.covariance
-    places = [tried.result.names.index(one.name) for one in frees]
+    result = tried.result
+    places = [result.names.index(one.name) for one in frees]
+    force, covariance = shapes @ result.coordinates[places], result.covariance
     variances = np.einsum("ij,jk,ik->i", shapes, covariance[np.ix_(places, places)], shapes)
     return Unexplained(
         own.variable, tuple(at.tolist()), tuple(force.tolist()), 2.0 * (tried.plain - base.plain),
@@ -71,17 +70,8 @@ def _described(own: ForceMap, fitter: Fitter, tried: Tried, base: Tried) -> Unex
     )  # fmt: skip
 
 
-def frees_of(fitter: Fitter, own: ForceMap) -> list[str]:
-    """Names of what a curve frees."""
-    return [one.name for one in fitter.curves[curve_name(own)].frees]
-
-
 def _ways(own: ForceMap, fitter: Fitter) -> Array:
     """(c, c) how the coefficients of the splines move with each number that a curve frees."""
     frees = fitter.curves[curve_name(own)].frees
     names = own.coefficients[: len(frees)]
     return np.array([[one.slopes.get(name, 0.0) for one in frees] for name in names])
-
-
-def _coefficients(result: Fit, names: Iterable[str]) -> Array:
-    return np.array([result.values[name] for name in names])

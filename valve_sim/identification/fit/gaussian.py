@@ -176,13 +176,14 @@ class Gaussian:
             damping: λ of theory, eq. (29). held: (k,) what does not move.
         """
         information, gradient, _, _ = self.reduced
-        diagonal = np.maximum(np.diag(information), 1e-300)
+        diagonal = np.diag(information)
         out = ((self.z <= self.lower) & (gradient > 0.0)) | ((self.z >= self.upper) & (gradient < 0.0))
         out |= diagonal < NO_INFORMATION
         out = out if held is None else out | held
-        size, move = 1.0 / np.sqrt(diagonal), np.zeros(self.count)
+        size, move = 1.0 / np.sqrt(np.where(diagonal < NO_INFORMATION, 1.0, diagonal)), np.zeros(self.count)
         normal = information * np.outer(size, size)
-        normal[np.diag_indices(self.count)] += damping * np.diag(normal) + 1e-12
+        normal[np.diag_indices(self.count)] *= 1.0 + damping
+        normal[np.diag_indices(self.count)] += 1e-12
         for _ in range(self.count):
             free, ends = np.flatnonzero(~out), np.flatnonzero(out)
             if not len(free):

@@ -15,12 +15,12 @@ from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
-from valve_sim.identification.fit.correction import DECISIVE, EQUAL, Correction, Score, Scores, agrees, is_curve
+from valve_sim.identification.fit.correction import DECISIVE, MATTERS, Correction, Score, Scores, agrees, is_curve
 from valve_sim.identification.fit.posterior import EVEN, SURE, Decision, Set
 from valve_sim.identification.fit.search import added, without
 
-MATTERS: Final = math.log(1.05)
-"""Ln of the factor by which unseen conditions must err more without an effect and its look-alikes."""
+EQUAL: Final = 0.003
+"""Ln of the factor between errors up to which a look-alike predicts as well, however small its standard error."""
 MOST_ALIKE: Final = 3
 """Look-alikes, beyond which a name says nothing."""
 

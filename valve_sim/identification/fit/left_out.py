@@ -177,14 +177,11 @@ def left_out(gaussian: Gaussian, parts: Sequence[Part]) -> LeftOut:
     Raises:
         numpy.linalg.LinAlgError: the others do not determine what is freed.
     """
-    sums, places = gaussian.sums, gaussian.model.problem.rows.places
-    rows, seen = sums.rows, response_in_motion(gaussian.model.problem)
+    rows, seen = gaussian.sums.rows, response_in_motion(gaussian.model.problem)
     squares, counts, estimates = [], [], []
     for part in parts:
-        inside = np.isin(places.stroke, part.numbers)
-        own = rows[inside]
-        others = Sums(sums.moved, sums.fixed, sums.products - gram(own, own), sums.constant)
-        rest = Gaussian(gaussian.model, gaussian.z, others, gaussian.sizes, gaussian.known)
+        inside = _inside(gaussian, part)
+        rest = _without(gaussian, rows[inside])
         move = predicting(gaussian, rest, rest.step()[0])
         chosen = rows[inside & seen]
         left = chosen[:, -1] + chosen[:, :-1] @ move
@@ -192,6 +189,39 @@ def left_out(gaussian: Gaussian, parts: Sequence[Part]) -> LeftOut:
         counts.append(float(len(left)))
         estimates.append(gaussian.z + move[: gaussian.count])
     return LeftOut(np.array(squares), np.array(counts), np.array(estimates))
+
+
+def expected_log_rms(gaussian: Gaussian, parts: Sequence[Part], tau: float = 0.0) -> Array:
+    """(g,) ln of the error that the posterior expects of each part, in standard deviations of the noise.
+
+    Args:
+        gaussian, parts: as of `left_out`. tau: τ, of something unnamed.
+
+    Raises:
+        numpy.linalg.LinAlgError: the others do not determine what is freed.
+    """
+    rows, seen, own = gaussian.sums.rows, response_in_motion(gaussian.model.problem), is_own(gaussian.model)
+    found = []
+    for part in parts:
+        inside = _inside(gaussian, part)
+        machine, errors = (rows[inside & seen, :-1][:, chosen] for chosen in (~own, own))
+        if own.any():  # which follow where the machine is another
+            machine = machine - errors @ _solved(gaussian.M[np.ix_(own, own)], gaussian.M[np.ix_(own, ~own)])
+        covariance = _without(gaussian, rows[inside]).inverse[np.ix_(~own, ~own)]
+        open_ = np.einsum("rk,kl,rl->r", machine, covariance, machine, optimize=True)
+        found.append(0.5 * math.log(1.0 + tau**2 + float(np.mean(open_))))
+    return np.array(found)
+
+
+def _inside(gaussian: Gaussian, part: Part) -> NDArray[np.bool_]:
+    return np.isin(gaussian.model.problem.rows.places.stroke, part.numbers)
+
+
+def _without(gaussian: Gaussian, rows: Array) -> Gaussian:
+    """A fit linearised without some rows."""
+    sums = gaussian.sums
+    others = Sums(sums.moved, sums.fixed, sums.products - gram(rows, rows), sums.constant)
+    return Gaussian(gaussian.model, gaussian.z, others, gaussian.sizes, gaussian.known)
 
 
 def predicting(whole: Gaussian, rest: Gaussian, step: Array) -> Array:
@@ -211,7 +241,13 @@ def predicting(whole: Gaussian, rest: Gaussian, step: Array) -> Array:
     return move
 
 
+def left_by(gaussian: Gaussian) -> Array:
+    """(r,) residuals of a fit where it ended, the errors of the sensors at their best; none of a long recording."""
+    coefficients = predicting(gaussian, gaussian, np.zeros(gaussian.count))[gaussian.count :]
+    return np.asarray(gaussian.sums.left + gaussian.sums.fixed @ coefficients)
+
+
 def _solved(matrix: Array, right: Array) -> Array:
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     unit = matrix * np.outer(scale, scale) + LITTLE * np.eye(len(matrix))
-    return np.asarray(scale * np.linalg.solve(unit, scale * right))
+    return np.asarray((scale * np.linalg.solve(unit, (scale * right.T).T).T).T)

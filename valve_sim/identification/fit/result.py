@@ -60,7 +60,7 @@ class Fit:
     @functools.cached_property
     def free(self) -> tuple[str, ...]:
         """Names of what was refitted; these come first among all coordinates."""
-        return tuple(own.name for own in self.model.moving if own.is_freed)
+        return tuple(own.name for own in self.model.moving if own.is_freed and not own.slopes)
 
     @functools.cached_property
     def nuisances(self) -> tuple[Nuisance, ...]:
@@ -79,7 +79,7 @@ class Fit:
     @functools.cached_property
     def values(self) -> dict[str, float]:
         """The values of a run, by name: what was freed and estimated, and what was held."""
-        return {**self.model.values(self.coordinates), **self.model.named(self.coordinates)}
+        return self.model.values(self.coordinates)
 
     @property
     def chi2(self) -> float:
@@ -104,7 +104,7 @@ class Fit:
     def values_at(self, at: Array) -> dict[str, float]:
         """Values by name at (k,) coordinates, which are kept within their ranges; what is held stays."""
         inside = np.clip(at, self.gaussian.lower, self.gaussian.upper)
-        return {**self.model.values(inside), **self.model.named(inside)}
+        return self.model.values(inside)
 
     # -- what is left --------------------------------------------------------------------------------------------------
 

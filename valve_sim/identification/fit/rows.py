@@ -204,7 +204,10 @@ class Rows:
             SimulationError: the machine cannot be simulated with these values.
         """
         self._budget.count(self._strokes)
-        shown = finite_prediction(self._simulated, values)
+        return self._left(finite_prediction(self._simulated, values))
+
+    def _left(self, shown: Sequence[Array]) -> Array:
+        """(r,) residuals of what is shown in each channel."""
         beyond = [(own - layout.readings)[:, None] for own, layout in zip(shown, self._layouts, strict=True)]
         return np.concatenate([layout.target for layout in self._layouts]) - self._whitened(beyond)[:, 0]
 
@@ -223,7 +226,7 @@ class Rows:
         nothing, plant = np.empty((0, len(directions))), self._simulated
         if not directions or not isinstance(plant, Differentiable):
             return nothing, np.zeros(len(directions), dtype=bool)
-        columns, known = plant.sensitivities(values, directions)
+        columns, known, _ = plant.sensitivities(values, directions)
         return (self._whitened(columns, -1.0) if known.any() else nothing), known
 
     def linearised(
@@ -237,8 +240,14 @@ class Rows:
         Raises:
             SimulationError: the machine cannot be simulated with these values.
         """
-        columns, known = self.sensitivities(values, directions)
-        return self.residuals(values), columns, known
+        self._budget.count(self._strokes, len(directions))
+        nothing, plant = np.empty((0, len(directions))), self._simulated
+        if not directions or not isinstance(plant, Differentiable):
+            return self.residuals(values), nothing, np.zeros(len(directions), dtype=bool)
+        columns, known, shown = plant.sensitivities(values, directions)
+        if not known.any() or shown is None:
+            return self.residuals(values), self._whitened(columns, -1.0) if known.any() else nothing, known
+        return self._left(shown), self._whitened(columns, -1.0), known
 
     def whitened_columns(self, columns: Mapping[int, Array]) -> dict[int, tuple[slice, Array]]:
         """The slice of rows of some channels, and (r, q) whitened, weighted columns of (n, q) of all their samples."""

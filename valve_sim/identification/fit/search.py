@@ -4,7 +4,7 @@
     for sizes 0 to 3:
         B = the most probable set of that size
         fit B with each addition that the score test finds promising; with each, where something unnamed acts beside B
-        the best again from other shapes and around; B again from where it ended; its look-alikes; its members swapped
+            the best again from other shapes and around; sets within it from where it ended; its look-alikes; its members swapped
         stop where none is more probable than B, or where a smooth curve explains more than two names
         learn the errors again beside the best; where that explains more: fit again what may come near
     fit what is near the best again beside a process, where something unnamed may act
@@ -39,7 +39,7 @@ NEAR: Final = 25.0
 """Difference in ln p by which a set may lag behind the best of its size before it is given up."""
 REFITTED: Final = 10.0
 """Difference in ln p from the best, within which sets are fitted again beside a process."""
-WORTH_LEARNING: Final = 5.0
+WORTH_LEARNING: Final = 1.0
 """Gain in ln p by newly learned errors of the recordings, from which sets are fitted again with these."""
 WORTH_KEEPING: Final = 0.1
 """Smallest difference of the criterion by which a fit counts as better."""
@@ -175,6 +175,9 @@ class Search:
         self._fit_all(self._look_alikes(best), base)
         best = self.best(len(base) + 1) or best
         self._polish(best)
+        for rest in (without(best, member) for member in best):
+            if rest in self.tried:
+                self._again(rest, self.tried[best].values)
         if self.log_weight(best) < self.log_weight(base):
             return False
         if self.unnamed_beside(best) < EVEN and len(best) > 1:
@@ -283,12 +286,15 @@ class Search:
         best = max(self.tried, key=self.log_weight)
         if not best or not self.fitter.learned:
             return
-        fitter, old = self.fitter, self.tried[best]
-        before = dict(fitter.sizes)
-        found = fitter.weighed(best, fitter.learn(best, old.fit))
+        fitter, fit = self.fitter, self.tried[best].fit
+        sizes, columns = dict(fitter.sizes), self.problem.columns
+        if self.unnamed_beside(best) > EVEN:
+            fit = fitter.with_modes(best, fit)
+        found = fitter.weighed(best, fitter.learn(best, fit))
         gain = self.log_weight_of(best, found) - self.log_weight(best)
         if gain < WORTH_LEARNING or self.rivals.unnamed_beside(best, found.evidence) > EVEN:
-            fitter.sizes = before
+            fitter.sizes = sizes
+            fitter.use(columns)
             return
         least = self.log_weight(best) - NEAR - gain
         every = (*self.tried, *self.begun)
@@ -296,8 +302,8 @@ class Search:
         self.tried[best] = found
         for names in near:
             known = self.tried[names] if names in self.tried else self.begun.pop(names)
-            fit = fitter.descended(fitter.model(names), known.values)
-            self._keep(names, known if fit is None else fitter.weighed(names, fit))
+            again = fitter.descended(fitter.model(names), known.values)
+            self._keep(names, known if again is None else fitter.weighed(names, again))
 
     # -- smooth curves -------------------------------------------------------------------------------------------------
 

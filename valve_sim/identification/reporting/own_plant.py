@@ -25,7 +25,7 @@ def corrected_plant(diagnosis: Diagnosis) -> dict[str, Any]:
     assert isinstance(plant, OwnPlant)
     result = diagnosis.after.fit
     names = tuple(name for name in diagnosis.verdict.effects if name in plant.file.effects)
-    return changed_plant(plant.file, result, names if diagnosis.verdict.kind == "effects" else ())
+    return changed_plant(plant.file, result, names if diagnosis.verdict.is_corrected else ())
 
 
 def changed_plant(  # noqa: PLR0912 -- one for each part of a file
