@@ -132,3 +132,23 @@ def test_a_released_value_gains_what_its_refit_gains(strength: float, off: float
     assert gains(plant)["valve.slope"] == pytest.approx(
         gain_of_refit(plant, "valve.slope"), rel=2e-3, abs=0.1 if strength > 1.0 else 0.6
     )
+
+
+def test_a_declared_value_without_a_tolerance_gains_what_its_refit_gains() -> None:
+    slope = Parameter("slope", "N", "of it", -1e6, 1e6, 0.2, 1.5)
+
+    class Exact(LinearPlant):
+        def parameter(self, name: str) -> Parameter:
+            return slope._replace(off=None) if name == "slope" else super().parameter(name)
+
+        def declared(self, name: str) -> float:
+            return 1.5 if name == "slope" else super().declared(name)
+
+    wrong = EffectChoice("valve.slope", (slope,), is_declared_value=True)
+    for off in (0.0, 0.1):
+        plant = Exact(
+            measured() + (1.5 + off) * COLUMNS[:, 1],
+            lambda values: values.get("slope", 1.5) * COLUMNS[:, 1],
+            effects=[wrong],
+        )
+        assert gains(plant)["valve.slope"] == pytest.approx(gain_of_refit(plant, "valve.slope"), abs=0.6, rel=2e-3)

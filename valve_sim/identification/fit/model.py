@@ -147,6 +147,11 @@ class Model:
         left, jacobian = self._derivatives(z)
         return self._summed(np.column_stack([jacobian, left]))
 
+    def tangent(self, z: Array, place: int) -> Array | None:
+        """(r,) derivative of the residuals by one coordinate; None where the plant does not know it."""
+        _, columns, is_known = self._along(z, [[place]])
+        return columns[:, 0] if is_known[0] else None
+
     def _summed(self, moved: Array) -> Sums:
         k, q = len(self.moving), len(self.linear)
         products = np.empty((k + q + 1, k + q + 1))
