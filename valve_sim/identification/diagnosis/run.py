@@ -23,7 +23,7 @@ from valve_sim.identification.fit.correction import Correction, correct, is_curv
 from valve_sim.identification.fit.curves import Unexplained, unexplained
 from valve_sim.identification.fit.descent import MOST
 from valve_sim.identification.fit.detection_limits import detection_limits
-from valve_sim.identification.fit.grades import Grade, grades
+from valve_sim.identification.fit.grades import Grade, grades, kind_of
 from valve_sim.identification.fit.held_out import HeldOut, predicted
 from valve_sim.identification.fit.intervals import Interval, covariance_interval, profile_interval
 from valve_sim.identification.fit.noise import Noise
@@ -314,20 +314,16 @@ class DiagnosisSession:
             for name, gain in gains.items()
         }
 
-    def _verdict(self, decision: Decision, correction: Correction, graded: Sequence[Grade]) -> Verdict:
+    def _verdict(self, decision: Decision, correction: Correction, graded: tuple[Grade, ...]) -> Verdict:
         """What is claimed of a correction."""
         ended = self._search.problem.budget.is_used_up and bool(self._search.untried or correction.cut_short)
         names, others, probability = decision.names, decision.others, decision.probability
         if correction.is_applied:
             names = () if is_curve(correction.names) else correction.names
-            is_named = bool(names) and all(one.word == "named" for one in graded)
-            kind = "effects" if is_named else "partly"
             if names != decision.names:
                 others = {one.effect: one.alike for one in graded}
                 probability = min((one.probability for one in graded), default=decision.unnamed)
-        else:
-            is_claimed = decision.kind == "effects"
-            kind = ("unknown" if decision.unnamed > EVEN else "insufficient") if is_claimed else decision.kind
+        kind = kind_of(correction, graded, decision)
         share = self._share(correction.fit.result if correction.is_applied else self._search.tried[names].result)
         worth = self._worth(names) if names in self._search.tried else {}
         return Verdict(kind, names, others, probability, decision.unnamed, share, self._strokes, worth, ended)

@@ -105,8 +105,8 @@ class Fitter:
         self._held, self._reads = dict(held or {}), reads_at_rest
         self.hypotheses: dict[str, Hypothesis] = dict(self.unknowns.hypotheses)
         self.curves = {own.name: own for own in (curve(one, _force_of(problem), SPLINES) for one in plant.force_maps)}
-        columns = Columns() if problem.is_long else columns_of(plant, {}, {}).held_at(self._held)
-        self.problem = problem.with_columns(columns)
+        self.problem = problem
+        self.use(self.columns_with({}, {}))
         self.sizes = {name: self._usual(group) for name, group in self.groups.items()}
         self.base: Tried | None = None
 
@@ -269,20 +269,37 @@ class Fitter:
         usual, columns = dict(self.sizes), self.problem.columns
         is_hopeless = self._leaves_much(begun)
         if is_hopeless and columns.unknowns:  # modes imitate what is missing, unless they explain all of it
-            begun = self._with_modes(begun)
+            begun = self.with_modes((), begun)
             is_hopeless = self._leaves_much(begun)
             if is_hopeless and self.problem.columns is not columns:
-                self._use(columns)
+                self.use(columns)
                 self.sizes = dict(usual)
         found = first
         if not is_hopeless:
             found = self.weighed((), self.learn((), begun))
         if is_hopeless or self.rivals.unnamed_beside((), found.evidence) > EVEN:
-            self._use(columns)
+            self.use(columns)
             self.sizes = {**usual, **dict.fromkeys(self._local_groups, 0.0)}
-            found = first
+            found = self._with_stamps(first)
         self.base = found
         return found
+
+    def _with_stamps(self, declared: Tried) -> Tried:
+        """The declared model with errors of the commands' stamps, where they are plain although something is missing.
+
+        They cannot imitate much, and where they are left out, every set errs by them.
+        """
+        groups = {own.group.name: own.group for own in self.unknowns.stamps if own.group and own.group.is_learned}
+        without = dict(self.sizes)
+        self.sizes.update({name: HELD * group.scale for name, group in groups.items()})
+        fit = self.descended(self.model(()), declared.values) if groups else None
+        if fit is not None:
+            found, suited = self.weighed((), fit), fit.gaussian.with_best_sizes(groups)
+            if found.spread.log_evidence > declared.spread.log_evidence + WORTH:
+                self.sizes.update({name: suited.sizes[name] for name in groups})
+                return found
+        self.sizes = without
+        return declared
 
     @property
     def _local_groups(self) -> list[str]:
@@ -330,7 +347,12 @@ class Fitter:
             return True
 
     def learn(self, names: Set, fit: Descended) -> Descended:
-        """A set fitted again with the most probable sizes of errors beside it, which are those of all fits from now on."""
+        """A set fitted again with the most probable sizes of errors beside it, which are those of all fits from now on.
+
+        What a sensor's gain and curve make of the motion is taken from the motion of this fit.
+        """
+        values = fit.gaussian.model.named(fit.gaussian.z)
+        self.use(self.columns_with(values, self.problem.columns.modes))
         groups = self.groups
         for name in self.learned:
             self.sizes[name] = max(self.sizes.get(name, 0.0), HELD * groups[name].scale)
@@ -348,11 +370,12 @@ class Fitter:
                 break
         return self.descended(self.model(names), fit.gaussian.model.named(fit.gaussian.z)) or fit
 
-    def _use(self, columns: Columns) -> None:
+    def use(self, columns: Columns) -> None:
+        """Fit with other errors of the recordings from now on."""
         self.problem = self.problem.with_columns(columns)
 
-    def _with_modes(self, fit: Descended) -> Descended:
-        """A fit again with the modes in which the mounts of its sensors ring, where they are worth it."""
+    def with_modes(self, names: Set, fit: Descended) -> Descended:
+        """A fit of a set again with the modes in which the mounts of its sensors ring, where they are worth it."""
         found = fit
         for _ in range(2):
             modes = ringing_modes(found.gaussian.with_best_sizes(self.learned))
@@ -360,19 +383,21 @@ class Fitter:
                 break
             values = found.gaussian.model.named(found.gaussian.z)
             before, sizes = self.problem.columns, dict(self.sizes)
-            self._use(self.columns_with(values, modes))
-            again = self.descended(self.model(()), values)
+            self.use(self.columns_with(values, modes))
+            again = self.descended(self.model(names), values)
             if again is None or not self._is_worth(again, found):
-                self._use(before)
+                self.use(before)
                 self.sizes = sizes
                 break
             suited = again.gaussian.with_best_sizes(self.learned)
             self.sizes.update({name: suited.sizes[name] for name in self.learned if name in suited.sizes})
-            found = self.descended(self.model(()), again.gaussian.model.named(again.gaussian.z)) or again
+            found = self.descended(self.model(names), again.gaussian.model.named(again.gaussian.z)) or again
         return found
 
     def columns_with(self, values: Mapping[str, float], modes: Mapping[int, tuple[Mode, ...]]) -> Columns:
         """The errors of the recordings beside a machine of these values, with modes of its mounts."""
+        if self.problem.is_long:
+            return Columns()
         return columns_of(self.problem.plant, values, modes).held_at(self._held)
 
     def _is_worth(self, after: Descended, before: Descended) -> bool:

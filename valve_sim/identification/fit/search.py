@@ -286,12 +286,15 @@ class Search:
         best = max(self.tried, key=self.log_weight)
         if not best or not self.fitter.learned:
             return
-        fitter, old = self.fitter, self.tried[best]
-        before = dict(fitter.sizes)
-        found = fitter.weighed(best, fitter.learn(best, old.fit))
+        fitter, fit = self.fitter, self.tried[best].fit
+        sizes, columns = dict(fitter.sizes), self.problem.columns
+        if self.unnamed_beside(best) > EVEN:
+            fit = fitter.with_modes(best, fit)
+        found = fitter.weighed(best, fitter.learn(best, fit))
         gain = self.log_weight_of(best, found) - self.log_weight(best)
         if gain < WORTH_LEARNING or self.rivals.unnamed_beside(best, found.evidence) > EVEN:
-            fitter.sizes = before
+            fitter.sizes = sizes
+            fitter.use(columns)
             return
         least = self.log_weight(best) - NEAR - gain
         every = (*self.tried, *self.begun)
@@ -299,8 +302,8 @@ class Search:
         self.tried[best] = found
         for names in near:
             known = self.tried[names] if names in self.tried else self.begun.pop(names)
-            fit = fitter.descended(fitter.model(names), known.values)
-            self._keep(names, known if fit is None else fitter.weighed(names, fit))
+            again = fitter.descended(fitter.model(names), known.values)
+            self._keep(names, known if again is None else fitter.weighed(names, again))
 
     # -- smooth curves -------------------------------------------------------------------------------------------------
 
