@@ -1,14 +1,14 @@
-"""Which force maps are fitted beside a model, and what is said of them: on sums of curves over known coordinates."""
+"""Smooth curves beside a model, on sums of curves over known coordinates."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
-from valve_sim.identification.selection.force_maps import NonparametricFit, competing_curves, fit_maps
 
-from identification.fit.linear_plant import TIMES, LinearPlant, measured, problem_of
-from identification.freed import fit
+from identification.fit.linear_plant import SIGMA, TIMES, LinearPlant, measured, problem_of
+from valve_sim.identification.fit.fitter import SPLINES
+from valve_sim.identification.fit.search import Search
 from valve_sim.identification.plants.protocol import Array, ForceMap
 from valve_sim.model import SimulationError
 from valve_sim.model.effects import basis
@@ -39,34 +39,27 @@ def curves(values: Mapping[str, float], impossible: str = "") -> Array:
         coefficients = np.array([values.get(name, 0.0) for name in choice.coefficients])
         if not coefficients.any():
             continue
-        total += basis(PLACES[choice.variable], 0.0, 1.0, 12) @ coefficients
+        total += basis(PLACES[choice.variable], 0.0, 1.0, SPLINES) @ coefficients[:SPLINES]
     return total
 
 
-def found(
-    added: Array, impossible: str = "", maps: Sequence[ForceMap] = MAPS
-) -> tuple[list[NonparametricFit], list[str]]:
-    """The maps of these data, best first, and what was said to be tried."""
-    said: list[str] = []
-    plant = LinearPlant(measured() + added, lambda values: curves(values, impossible), force_maps=maps)
-    base = fit(problem_of(plant), ("level",), {})
-
-    def say(what: str, fraction: float) -> None:
-        said.append(what)
-
-    return fit_maps(base, competing_curves(base, say), say), said
+def found(added: Array, impossible: str = "") -> tuple[dict[str, float], Search]:
+    """Ln p with each curve less that without, by variable."""
+    plant = LinearPlant(measured() + added, lambda values: curves(values, impossible), force_maps=MAPS)
+    search = Search(problem_of(plant))  # type: ignore[arg-type]
+    search.fit_declared()
+    return {name: one.plain - search.tried[()].plain for name, one in search.curves.items()}, search
 
 
-def test_maps_come_by_their_evidence_and_what_acts_is_first() -> None:
-    """A curve that competes is not fitted again."""
-    maps, said = found(BUMP)
-    evidence, variables = [one.fit.log_evidence for one in maps], [one.choice.variable for one in maps]
-    assert evidence == sorted(evidence, reverse=True)
-    assert variables[0] == "x"
-    assert {"x", "v", "t"} == set(variables)
-    assert len(said) == len(set(said))
+def test_the_curve_that_acts_is_the_most_probable_and_is_the_one_behind_the_data() -> None:
+    gains, search = found(BUMP)
+    assert set(gains) == {"curve(x)", "curve(v)"}, "none over time, which follows anything"
+    assert gains["curve(x)"] > 50.0 > gains["curve(v)"]
+    values = search.curves["curve(x)"].result.values
+    curve = basis(PLACES["x"], 0.0, 1.0, SPLINES) @ [values.get(name, 0.0) for name in MAPS[0].coefficients[:SPLINES]]
+    assert np.sqrt(np.mean((curve - BUMP) ** 2)) < 0.2 * SIGMA
+    assert max(found(np.zeros(len(TIMES)))[0].values()) < 0.0
 
 
 def test_what_cannot_be_simulated_is_left_out() -> None:
-    variables = [one.choice.variable for one in found(BUMP, impossible="v")[0]]
-    assert "v" not in variables and "x" in variables
+    assert set(found(BUMP, impossible="v")[0]) == {"curve(x)"}

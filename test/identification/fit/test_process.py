@@ -14,8 +14,6 @@ from valve_sim.identification.fit.noise import Noise
 from valve_sim.identification.fit.problem import Problem
 from valve_sim.identification.fit.process import BLOCK, SHARED, TAUS, Cell, Process
 from valve_sim.identification.fit.process import LENGTHS as SHARES
-from valve_sim.identification.fit.process import BLOCK, SHARED, TAUS, Cell
-from valve_sim.identification.fit.process import LENGTHS as SHARES
 from valve_sim.identification.fit.result import Fit
 from valve_sim.identification.fit.rows import RowPlaces
 from valve_sim.identification.plants.protocol import Array, Channel, EffectChoice, Nuisance
