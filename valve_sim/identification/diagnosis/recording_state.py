@@ -12,9 +12,9 @@ from valve_sim.identification.diagnosis.identify import Identification, Progress
 from valve_sim.identification.fit.detection_limits import Limits, detection_limits
 from valve_sim.identification.fit.fitter import Fitter
 from valve_sim.identification.fit.posterior import rivals_of
-from valve_sim.identification.fit.unknown import SMALLEST
 from valve_sim.identification.fit.recorded_errors import RecordedError
 from valve_sim.identification.fit.result import Fit
+from valve_sim.identification.fit.unknown import SMALLEST
 from valve_sim.model import Valve
 from valve_sim.traces import Trace
 
