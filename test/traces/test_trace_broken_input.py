@@ -229,12 +229,15 @@ def check(path: Path, finding: str, least: int, most: int = 1000) -> None:
     np.testing.assert_array_equal(trace.pilot_position, truth.pilot_position[nearest])
 
 
-def mcap_by_another_writer(path: Path, **options: Any) -> Path:
-    """Write the good messages as other recorders do: with checksums, small chunks, or none."""
+def mcap_by_another_writer(path: Path, *, beside: bool = False, **options: Any) -> Path:
+    """Write the good messages as other recorders do: with checksums, small chunks, or none; others beside them."""
     with path.open("wb") as stream:
         writer = McapWriter(stream, compression=CompressionType.NONE, **options)
         writer.start("ros2", "test")
         channels: dict[str, int] = {}
+        for encoding in ("protobuf", "json") if beside else ():
+            schema = writer.register_schema(f"lab.{encoding}", encoding, b"{}")
+            writer.add_message(writer.register_channel(f"/{encoding}", encoding, schema), EPOCH, b"{}", EPOCH)
         for message in good_messages():
             if message.topic not in channels:
                 schema = writer.register_schema(message.type, "ros2msg", b"")
@@ -300,6 +303,27 @@ def with_write_ahead_log(tmp: Path) -> Path:
     return tmp / "killed"
 
 
+def with_journal(tmp: Path) -> Path:
+    """As something that was changing the database leaves it when it is killed: half changed, with what undoes it."""
+    path = folder(tmp, storage=StoragePlugin.SQLITE3)
+    file = next(path.glob("*.db3"))
+    (tmp / "killed").mkdir()
+    with closing(sqlite3.connect(file, isolation_level=None)) as connection:
+        for command in ("PRAGMA journal_mode=DELETE", "PRAGMA cache_size=2", "BEGIN", "DELETE FROM messages"):
+            connection.execute(command)
+        for name in (file.name, file.name + "-journal"):
+            shutil.copy(path / name, tmp / "killed" / name)
+        connection.execute("ROLLBACK")
+    return tmp / "killed"
+
+
+def windows_metadata(tmp: Path) -> Path:
+    path = folder(tmp)
+    text = (path / "metadata.yaml").read_text()
+    (path / "metadata.yaml").write_bytes(text.replace("\n", "\r\n").encode())
+    return path
+
+
 def with_quality_of_service(tmp: Path, text: str) -> Path:
     path = folder(tmp, storage=StoragePlugin.SQLITE3)
     with closing(sqlite3.connect(next(path.glob("*.db3")))) as connection:
@@ -339,6 +363,8 @@ READ: dict[str, tuple[Callable[[Path], Path], str, tuple[int, int]]] = {
     "without an index": (lambda tmp: small_chunks(tmp, index_types=IndexType.NONE), "", WHOLE),
     "with an index of chunks alone": (lambda tmp: small_chunks(tmp, index_types=IndexType.CHUNK), "", WHOLE),
     "channels not repeated": (lambda tmp: small_chunks(tmp, repeat_channels=False), "", WHOLE),
+    "schemas not repeated": (lambda tmp: small_chunks(tmp, repeat_schemas=False), "", WHOLE),
+    "other encodings beside": (lambda tmp: small_chunks(tmp, beside=True), "", WHOLE),
     "a damaged chunk": (lambda tmp: small_chunks(tmp, 100_000), "1 damaged chunk", (700, 950)),
     # The first chunk alone has the types of the topics, but for the end of the file, which repeats them.
     "a damaged first chunk": (lambda tmp: small_chunks(tmp, 2000), "1 damaged chunk", (700, 950)),
@@ -378,6 +404,8 @@ READ: dict[str, tuple[Callable[[Path], Path], str, tuple[int, int]]] = {
         (350, 500),
     ),
     "a write-ahead log": (with_write_ahead_log, "kept 1002 messages, the data reach their end", WHOLE),
+    "an unfinished change": (with_journal, "kept 1002 messages, the data reach their end", WHOLE),
+    "metadata written by Windows": (windows_metadata, "", WHOLE),
     "no quality of service": (lambda tmp: with_quality_of_service(tmp, ""), "", WHOLE),
     "an edited quality of service": (lambda tmp: with_quality_of_service(tmp, "- history: [keep"), "", WHOLE),
 }
