@@ -17,12 +17,15 @@ import zstandard
 from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from valve_sim.files.recording_map import map_from
 from valve_sim.traces import TraceError, list_valves, read_trace
 from valve_sim.traces.mcap_files import unpack_zstd
 
 from .bag_makers import (
     EPOCH,
+    FLOAT,
     GAP,
     JOINT_STATE,
     Message,
@@ -30,6 +33,7 @@ from .bag_makers import (
     clean_trace,
     float_message,
     good_messages,
+    header,
     joint_state,
     make_folder,
     make_mcap,
@@ -451,6 +455,44 @@ def test_messages_are_timed_by_their_publication_where_both_clocks_agree(
     trace, truth = read_trace(path), clean_trace()
     np.testing.assert_allclose(trace.drive.times - truth.drive.times, lateness, atol=1e-8)
     assert any("3.40 ms after they were published" in finding for finding in trace.findings) == (lateness == 0.0)
+
+
+IDL = """\
+{line}
+IDL: lab_msgs/msg/Lift
+#include "std_msgs/msg/Header.idl"
+module lab_msgs {{ module msg {{
+  struct Lift {{ std_msgs::msg::Header header; @unit (value="mm") double lift; }};
+}}; }};
+{line}
+IDL: std_msgs/msg/Header
+#include "builtin_interfaces/msg/Time.idl"
+module std_msgs {{ module msg {{ struct Header {{ builtin_interfaces::msg::Time stamp; string frame_id; }}; }}; }};
+{line}
+IDL: builtin_interfaces/msg/Time
+module builtin_interfaces {{ module msg {{ struct Time {{ int32 sec; uint32 nanosec; }}; }}; }};
+""".format(line="=" * 80)
+
+
+def test_a_type_of_the_lab_is_read_by_its_definition_in_idl(tmp_path: Path) -> None:
+    store, truth = get_typestore(Stores.ROS2_JAZZY), clean_trace()
+    store.register(get_types_from_msg("std_msgs/Header header\nfloat64 lift\n", "lab_msgs/msg/Lift"))
+    with (tmp_path / "a.mcap").open("wb") as stream:
+        writer = McapWriter(stream)
+        writer.start("ros2", "test")
+        volts = writer.register_channel("/volts", "cdr", writer.register_schema(FLOAT, "ros2msg", b""))
+        schema = writer.register_schema("lab_msgs/msg/Lift", "ros2idl", IDL.encode())
+        lifts = writer.register_channel("/lift", "cdr", schema)
+        for message in without(good_messages(), "/valve/measured/joint_states"):
+            writer.add_message(volts, message.time, message.data, message.time)
+        for time, lift in zip(truth.times.tolist(), truth.pilot_position.tolist(), strict=True):
+            stamp = EPOCH + round(time * 1e9)
+            message = store.types["lab_msgs/msg/Lift"](header(stamp), 1e3 * lift)
+            writer.add_message(lifts, stamp, bytes(store.serialize_cdr(message, "lab_msgs/msg/Lift")), stamp)
+        writer.finish()  # type: ignore[no-untyped-call]
+    entries = {"command": "/volts", "position": {"topic": "/lift", "unit": "mm"}}
+    found = read_trace(tmp_path / "a.mcap", None, map_from(entries, "map.yaml"))
+    np.testing.assert_allclose(found.pilot_position, truth.pilot_position, atol=1e-15)
 
 
 def test_bytes_after_a_joint_state_are_trimmed(tmp_path: Path) -> None:
