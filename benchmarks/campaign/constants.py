@@ -7,10 +7,11 @@ from dataclasses import replace
 from typing import Final, NamedTuple
 from unittest import mock
 
+from valve_sim.identification.selection import posterior
+
 from benchmarks.campaign.running import Answer, Outcome, grounds_of
 from benchmarks.campaign.tables import is_misnamed, standing
 from benchmarks.common import Column, in_columns
-from valve_sim.identification.selection import posterior
 
 
 class Constant(NamedTuple):
