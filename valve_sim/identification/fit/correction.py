@@ -179,6 +179,8 @@ class Scoring:
         self.cut_short: list[str] = []
         for names, tried in search.tried.items():
             self.add(names, tried)
+        if () not in self.scores:
+            self.parts, self.scores = [], {}
 
     def add(self, names: Set, tried: Tried) -> None:
         """Score a set, if it was fitted to its end."""

@@ -3,7 +3,8 @@
     fit {}, and learn the errors of the recordings beside it
     for sizes 0 to 3:
         B = the most probable set of that size
-        fit B with each addition that the score test finds promising; with each, where something unnamed acts beside B
+        fit B with each addition that the score test finds promising; with each, where something unnamed acts beside B;
+        sets that are nearly as probable as B with what the score test finds beside them
             the best again from other shapes and around; sets within it from where it ended; its look-alikes; its members swapped
         stop where none is more probable than B, or where a smooth curve explains more than two names
         learn the errors again beside the best; where that explains more: fit again what may come near
@@ -39,6 +40,10 @@ NEAR: Final = 25.0
 """Difference in ln p by which a set may lag behind the best of its size before it is given up."""
 REFITTED: Final = 10.0
 """Difference in ln p from the best, within which sets are fitted again beside a process."""
+RIVALS: Final = 5.0
+"""Difference in ln p from the best set of a size, within which others are added to."""
+MOST_RIVALS: Final = 4
+"""Sets of a size that are added to, the best among them."""
 WORTH_LEARNING: Final = 1.0
 """Gain in ln p by newly learned errors of the recordings, from which sets are fitted again with these."""
 WORTH_KEEPING: Final = 0.1
@@ -164,10 +169,11 @@ class Search:
         ]
         if not base and is_all:
             self._screen(gains, promising)
-        if not promising:
-            return False
         promising.sort(key=lambda name: -gains[name])
-        self._fit_all([added(base, name) for name in promising], base)
+        sets = [*(added(base, name) for name in promising), *self._beside_rivals(base)]
+        if not sets:
+            return False
+        self._fit_all(sets, base)
         best = self.best(len(base) + 1)
         if best is None:
             return False
@@ -184,6 +190,19 @@ class Search:
             names = [name for name in self.fitter.hypotheses if name not in best]
             self._fit_all([added(without(best, member), name) for member in best for name in names], base)
         return True
+
+    def _beside_rivals(self, base: Set) -> list[Set]:
+        """What the score test finds beside sets that are about as probable as the best of their size."""
+        least = self.log_weight(base) - RIVALS
+        near = [names for names in self.tried if len(names) == len(base) and self.log_weight(names) > least]
+        near = sorted(near, key=self.log_weight)[-MOST_RIVALS:]
+        return [
+            added(names, name)
+            for names in near
+            if names != base
+            for name, gain in self.gains(names).items()
+            if gain > 0.0
+        ]
 
     def _may_show(self, name: str, gain: float) -> bool:
         """Whether the data show a hypothesis at all: of a declared value they may say nothing."""
