@@ -14,6 +14,7 @@ from valve_sim.identification.fit.fitter import Fitter
 from valve_sim.identification.fit.posterior import rivals_of
 from valve_sim.identification.fit.recorded_errors import RecordedError
 from valve_sim.identification.fit.result import Fit
+from valve_sim.identification.fit.unknown import SMALLEST
 from valve_sim.model import Valve
 from valve_sim.traces import Trace
 
@@ -63,5 +64,6 @@ def _limits(best: Fit, *, has_errors: bool) -> Limits:
     Nothing is fitted again: limits depend on what the data determine, not on where a fit ends.
     """
     fitter = Fitter(best.problem, rivals_of(best.problem.plant), free=best.free)
-    fitter.sizes = {name: size if has_errors else 0.0 for name, size in best.gaussian.sizes.items()}
+    nothing = {name: SMALLEST * group.scale for name, group in fitter.groups.items()}
+    fitter.sizes = dict(best.gaussian.sizes) if has_errors else nothing
     return detection_limits(fitter, fitter.tried_at(best.values))

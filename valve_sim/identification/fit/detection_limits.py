@@ -29,8 +29,6 @@ Limits = Mapping[str, Mapping[str, float]]
 """Limits by effect and by the parameter that switches it, SI."""
 SEARCHED: Final = 200
 """Largest number of bisections."""
-SHARES: Final = (SMALL, 0.1 * SMALL)
-"""Sizes of an effect, in scales: along a move in which the residuals bend it would show more than it does."""
 
 
 def detection_limits(fitter: Fitter, tried: Tried) -> dict[str, dict[str, float]]:
@@ -60,20 +58,22 @@ def _short(own: Unknown) -> str:
 def _sigmas(fitter: Fitter, tried: Tried, own: Hypothesis) -> dict[str, float]:
     """Standard error of each switch alone, while it is small, in its coordinate; of a released value with its tolerance.
 
-    Of the signs and sizes that it may have that counts which shows less.
+    Of the signs that it may have, and of a small move and the tangent, that counts which shows less: along a move in
+    which the residuals bend an effect would show more than it does.
     """
     gaussian, found = tried.fit.gaussian, dict[str, float]()
-    moved = [
-        pair
-        for size in SHARES
-        for pair in moved_by(fitter, (), tried, own, Near((size,), has_shapes=False, has_signs=True))
-    ]
+    model = fitter.model((own.name,), has_columns=False)
+    z = model.at({**tried.values, **own.off()})
+    near = Near((SMALL,), has_shapes=False, has_signs=True)
+    moved = [(move.switch, move.by, change) for move, change in moved_by(fitter, (), tried, own, near)]
+    for switch in [one for one in own.frees if one.is_switch]:
+        tangent = model.tangent(z, model.index[switch.name])
+        moved += [] if tangent is None else [(switch, switch.scale, switch.scale * tangent)]
     if moved:
-        squares, _ = gaussian.beyond(np.column_stack([change for _, change in moved]))
-        for place, (move, _) in enumerate(moved):
-            power = float(squares[place, place])
-            sigma = abs(move.by) / math.sqrt(power) if power > MOVES_NOTHING else math.inf
-            found[move.switch.name] = max(found.get(move.switch.name, 0.0), sigma)
+        squares, _ = gaussian.beyond(np.column_stack([change for _, _, change in moved]))
+        for (switch, by, _), power in zip(moved, np.diag(squares).tolist(), strict=True):
+            if power > MOVES_NOTHING:
+                found[switch.name] = max(found.get(switch.name, 0.0), abs(by) / math.sqrt(power))
     for place, one in enumerate(gaussian.model.moving):
         for switch in own.frees:
             is_same = one.is_tolerated and switch.name in (one.name, *one.replaces) and one.unit == switch.unit

@@ -265,21 +265,25 @@ class Gaussian:
                 found.setdefault(own.group.name, (own.group, []))[1].append(place)
         return {name: (group, np.array(places, dtype=np.intp)) for name, (group, places) in found.items()}
 
-    def by_size(self, group: Group, places: NDArray[np.intp]) -> OfSizes:
-        """Ln of likelihood, less that of none, and of the prior, on the grid of a group's sizes, others as they are.
+    def by_size(self, group: Group, places: NDArray[np.intp], sizes: Array | None = None) -> OfSizes:
+        """Ln of likelihood, less that of none, and of the prior, by a group's sizes, those of others as they are.
 
         With all else at its best the data say of the group's coefficients b what −½ bᵀ F b + fᵀ b says: in the
         eigenvectors of F each size is a sum.
+
+        Args:
+            group: which. places: of its unknowns. sizes: (n,); default its grid.
         """
+        grid = group.grid if sizes is None else sizes
         sigma, size = self.inverse[np.ix_(places, places)], self.size(group)
         means = np.array([own.prior.mean if isinstance(own.prior, Normal) else 0.0 for own in self.model.unknowns])
         at = (np.concatenate([self.z, np.zeros(len(self.M) - self.count)]) - means)[places] + self.best[places]
         shares, axes = np.linalg.eigh(sigma / size**2)  # of the prior's variance, what the data leave
         shares = np.clip(shares, 1e-14, 1.0)
         values, pull = (1.0 / shares - 1.0) / size**2, axes.T @ at / (shares * size**2)
-        squares = np.square(group.grid)[:, None]
+        squares = np.square(grid)[:, None]
         terms = squares * pull**2 / (1.0 + squares * values) - np.log1p(squares * values)
-        return OfSizes(0.5 * terms.sum(axis=1), group.log_prior(group.grid))
+        return OfSizes(0.5 * terms.sum(axis=1), group.log_prior(grid))
 
     def with_best_sizes(self, names: Iterable[str] | None = None) -> Gaussian:
         """With the most probable sizes of some groups, or of all, one group after the other."""
@@ -304,8 +308,8 @@ class Gaussian:
         for name, (group, places) in self.groups.items():
             if chosen is None or name in chosen:
                 logs = self.by_size(group, places)
-                here = int(np.argmin(np.abs(np.log(group.grid / self.size(group)))))
-                total += _log_integral(group, logs) - float(logs.likelihood[here])
+                here = self.by_size(group, places, np.array([self.size(group)]))
+                total += _log_integral(group, logs) - float(here.likelihood[0])
         return total
 
     def probabilities(self) -> dict[str, float]:

@@ -147,6 +147,11 @@ class Model:
         left, jacobian = self._derivatives(z)
         return self._summed(np.column_stack([jacobian, left]))
 
+    def tangent(self, z: Array, place: int) -> Array | None:
+        """(r,) derivative of the residuals by one coordinate; None where the plant does not know it."""
+        _, columns, is_known = self._along(z, [[place]])
+        return columns[:, 0] if is_known[0] else None
+
     def _summed(self, moved: Array) -> Sums:
         k, q = len(self.moving), len(self.linear)
         products = np.empty((k + q + 1, k + q + 1))
@@ -155,6 +160,8 @@ class Model:
         cross = gram(self.fixed, moved) if q else np.empty((0, k + 1))
         products[k:-1, outer], products[outer, k:-1] = cross, cross.T
         products[k:-1, k:-1] = self._fixed_products
+        if not np.isfinite(products).all():
+            raise SimulationError("the derivatives are too large to be squared")
         return Sums(moved, self.fixed, products, self.problem.rows.constant)
 
     def _in_pieces(self, z: Array) -> Sums | None:

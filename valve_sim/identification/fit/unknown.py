@@ -196,12 +196,12 @@ class Hypothesis:
         return {own.name: own.value(own.start) for own in self.frees}
 
 
-def freed(plant: Plant, name: str, choice: EffectChoice | None = None, entry: Parameter | None = None) -> Unknown:
+def freed(plant: Plant, name: str, entry: Parameter | None = None) -> Unknown:
     """A parameter of the machine or of an effect, to be refitted.
 
     Args:
         plant: the machine. name: as its `parameter` has it.
-        choice, entry: the hypothesis that it belongs to, and the parameter as that lists it: where it may be claimed.
+        entry: as a hypothesis lists it: where it may be claimed, and where it is off, a declared value as declared.
 
     Raises:
         KeyError: there is no such parameter.
@@ -213,7 +213,7 @@ def freed(plant: Plant, name: str, choice: EffectChoice | None = None, entry: Pa
     claimed = (-math.inf, math.inf) if entry is None else (entry.lower, entry.upper)
     return Unknown(
         name, prior, start, lower, upper, scale, max(DIFFERENCE * scale, 1e-5 * abs(start)), parameter.unit, parameter,
-        is_freed=True, is_switch=choice is not None and parameter.off is not None, claimed=claimed,
+        is_freed=True, is_switch=entry is not None and entry.off is not None, claimed=claimed,
     )  # fmt: skip
 
 
@@ -230,7 +230,7 @@ def known(nuisance: Nuisance, group: Group | None = None) -> Unknown:
 
 def hypothesis(plant: Plant, choice: EffectChoice) -> Hypothesis:
     """An effect that may be missing, or a declared value that may be wrong."""
-    frees = tuple(freed(plant, choice.free_name(own), choice, own) for own in choice.parameters)
+    frees = tuple(freed(plant, choice.free_name(own), own) for own in choice.parameters)
     return Hypothesis(choice.name, frees, choice=choice, confused_with=tuple(choice.confused_with))
 
 

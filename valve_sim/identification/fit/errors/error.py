@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 from valve_sim.identification.plants.protocol import Array, Contacts
-
-SMALLEST: Final = 1e-3
-"""Of the prior's scale: smaller sizes are as good as none."""
-LARGEST: Final = 1e3
-"""Of the prior's scale, up to which sizes are looked for."""
 
 
 class Mode(NamedTuple):
@@ -77,18 +71,3 @@ class RecordingError:
     stays: bool = False
     amount: Callable[[Array, Array], float] | None = None
     is_relative: bool = False
-
-    def log_prior(self, size: float, scale: float) -> float:
-        """Ln of the prior density of a size over its scale, which has no unit: models with other errors compare."""
-        if self.is_known:
-            return 0.0
-        if self.is_normal:
-            return 0.5 * math.log(2.0 / math.pi) - 0.5 * (size / scale) ** 2
-        return math.log(2.0 / math.pi) - math.log1p((size / scale) ** 2)
-
-    def log_slope(self, size: float, scale: float) -> float:
-        """The derivative of `log_prior` to the logarithm of the size."""
-        share = (size / scale) ** 2
-        if self.is_known:
-            return 0.0
-        return -share if self.is_normal else -2.0 * share / (1.0 + share)

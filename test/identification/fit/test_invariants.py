@@ -10,16 +10,16 @@ import pytest
 from plants.recording import Recorder
 
 from identification.diagnosis.test_run import DECLARED
+from identification.fit.linear_plant import COLUMNS, SAMPLES, SIGMA, LinearPlant, measured
+from identification.freed import fit
 from identification.recordings import Short, recorded
-from identification.selection.linear_plant import COLUMNS, SAMPLES, SIGMA, LinearPlant, measured
 from valve_sim.identification.diagnosis.run import diagnose_plant
 from valve_sim.identification.fit.noise import Noise
+from valve_sim.identification.fit.posterior import decide
 from valve_sim.identification.fit.problem import Problem
 from valve_sim.identification.fit.result import Fit
-from valve_sim.identification.fit.result import fit
-from valve_sim.identification.plants.protocol import Array, EffectChoice, Nuisance
-from valve_sim.identification.fit.posterior import decide
 from valve_sim.identification.fit.search import Search
+from valve_sim.identification.plants.protocol import Array, EffectChoice, Nuisance
 from valve_sim.model import Parameter, Tolerances
 
 KNOWN = [Nuisance(f"known {number}", sigma, "m", is_of_machine=True) for number, sigma in enumerate((1e-4, 0.01, 1.0))]

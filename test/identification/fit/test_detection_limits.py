@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,20 +12,19 @@ from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
 from plants.recording import Recorder, record, train_profile
 
 from benchmarks.campaign.declared import as_trace, declared_valve
+from identification.fit.linear_plant import COLUMNS, LinearPlant, measured, problem_of
 from identification.recordings import Short
-from identification.selection.linear_plant import COLUMNS, LinearPlant, measured, problem_of
 from valve_sim.identification.diagnosis.run import diagnose_plant
+from valve_sim.identification.fit.detection_limits import Limits, detection_limits
+from valve_sim.identification.fit.fitter import Fitter
+from valve_sim.identification.fit.posterior import decide, rivals_of
 from valve_sim.identification.fit.problem import Problem
-from valve_sim.identification.fit.result import Fit
-from valve_sim.identification.fit.result import fit
+from valve_sim.identification.fit.search import Search
 from valve_sim.identification.plants.protocol import Array, EffectChoice, Nuisance
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.diagnosis_json import to_json
 from valve_sim.identification.reporting.text import diagnosis_text
 from valve_sim.identification.reporting.wording import limit_rows
-from valve_sim.identification.fit.detection_limits import detection_limits
-from valve_sim.identification.fit.posterior import Rivals, decide
-from valve_sim.identification.fit.search import Search
 from valve_sim.model import Parameter, Valve
 
 SIGMA = 0.02 * float(CAMPAIGN_VALVE["coil_time_constant"])  # type: ignore[arg-type]
@@ -40,6 +40,13 @@ KINDS = {
     "small by its prior": Parameter("size", "m", "added", -1e6, 1e6, 0.01, 0.0),
 }
 RECORDINGS, AT_TWICE = 20, 10
+
+
+def limits(problem: Problem, free: Sequence[str] | None = None, more: int = 0) -> Limits:
+    """Beside the declared model, of its effects and of so many more rivals."""
+    own = rivals_of(problem.plant)
+    fitter = Fitter(problem, replace(own, effects=own.effects | set(map(str, range(more)))), free=free)
+    return detection_limits(fitter, fitter.fitted_declared())
 
 
 def plant_of(switch: Parameter, off_by: float, seed: int) -> LinearPlant:
@@ -67,9 +74,7 @@ def test_at_the_stated_limit_an_effect_is_named_in_half_of_recordings(kind: str)
     sign = -1.0 if switch.off == switch.upper else 1.0
     for seed in range(RECORDINGS):
         problem = problem_of(plant_of(switch, 0.0, seed))
-        base = fit(problem, ("level",), {}, nuisances=[DRIFT])
-        rivals = Rivals(frozenset(problem.plant.effects), frozenset())
-        limit = detection_limits(base, rivals)["first"]["size"]
+        limit = limits(problem)["first"]["size"]
         for share, found in ((1.0, named), (2.0, at_twice))[: 2 if seed < AT_TWICE else 1]:
             search = Search(problem_of(plant_of(switch, sign * share * limit, seed)))
             search.run()
@@ -82,58 +87,50 @@ def test_at_the_stated_limit_an_effect_is_named_in_half_of_recordings(kind: str)
 def test_what_cannot_be_named_within_its_range_has_no_limit() -> None:
     narrow = Parameter("size", "m", "added", 0.0, 0.01, 0.3, 0.0)
     problem = problem_of(plant_of(narrow, 0.0, 1))
-    base = fit(problem, ("level",), {}, nuisances=[DRIFT])
-    assert detection_limits(base, Rivals(frozenset(problem.plant.effects), frozenset()))["first"]["size"] == math.inf
+    assert limits(problem)["first"]["size"] == math.inf
 
 
 def test_more_rivals_raise_the_limit_as_the_prior_falls() -> None:
     problem = problem_of(plant_of(KINDS["two-sided"], 0.0, 1))
-    base = fit(problem, ("level",), {}, nuisances=[DRIFT])
-    few, many = (
-        detection_limits(base, Rivals(frozenset([*problem.plant.effects, *map(str, range(more))]), frozenset()))
-        for more in (0, 200)
-    )
+    few, many = (limits(problem, more=more) for more in (0, 200))
     assert 1.05 * few["first"]["size"] < many["first"]["size"] < 1.6 * few["first"]["size"]
 
 
 # -- a valve -----------------------------------------------------------------------------------------------------------
 
 
-def fitted(valve: Valve, *freed: str) -> tuple[Fit, Rivals]:
+def limits_of(valve: Valve, *freed: str) -> Limits:
     trace = as_trace(record(DeclaredPlant(), train_profile(), Recorder(), 8), "train")
-    problem = Problem(ValvePlant([trace], valve))
-    effects = problem.plant.effects
-    declared = frozenset(name for name, choice in effects.items() if choice.is_declared)
-    base = fit(problem, (*problem.plant.base, *freed), {}, nuisances=problem.plant.nuisances)
-    return base, Rivals(frozenset(effects) - declared, declared)
+    plant = ValvePlant([trace], valve)
+    return limits(Problem(plant), free=(*plant.base, *freed))
 
 
 @pytest.fixture(scope="module")
-def exact() -> dict[str, dict[str, float]]:
-    return detection_limits(*fitted(EXACT))
+def exact() -> Limits:
+    return limits_of(EXACT)
 
 
-def test_limits_of_a_valve_are_of_the_size_that_its_sensor_can_see(exact: dict[str, dict[str, float]]) -> None:
+def test_limits_of_a_valve_are_of_the_size_that_its_sensor_can_see(exact: Limits) -> None:
     assert 0.5e-3 < exact["coulomb_friction"]["force"] < 5e-3
     assert 1e-4 < exact["drive_gain"]["gain"] < 2e-3
     # Infinite where it does nothing: the limit is the current from which downwards it shows.
     assert 1.0 < exact["magnetic_saturation"]["current"] < 1e3
 
 
-def test_a_tolerance_hides_the_effect_that_is_the_same_thing(exact: dict[str, dict[str, float]]) -> None:
-    within = detection_limits(*fitted(WITHIN))
+def test_a_tolerance_hides_the_effect_that_is_the_same_thing(exact: Limits) -> None:
+    within = limits_of(WITHIN)
     for name, parameter in (("coil_lag", "time_constant"), ("valve.coil_time_constant", "coil_time_constant")):
         assert 2.5 * SIGMA < within[name][parameter] < 6.0 * SIGMA
     assert exact["coil_lag"]["time_constant"] < 0.2 * SIGMA
 
 
-def test_what_a_clock_can_do_is_priced_by_its_prior(exact: dict[str, dict[str, float]]) -> None:
+def test_what_a_clock_can_do_is_priced_by_its_prior(exact: Limits) -> None:
     """A sensor that is late is a clock that is off, which is known to 50 µs."""
     assert 2.5 * 50e-6 < exact["sensor_delay"]["delay"] < 6.0 * 50e-6
 
 
 def test_what_is_in_the_fit_has_no_limit() -> None:
-    assert "constant_force" not in detection_limits(*fitted(EXACT, "constant_force.force"))
+    assert "constant_force" not in limits_of(EXACT, "constant_force.force")
 
 
 def test_a_report_that_nothing_is_missing_says_what_would_have_shown() -> None:

@@ -7,25 +7,37 @@ from collections.abc import Mapping
 
 import pytest
 
-from identification.selection.linear_plant import (
+from identification.fit.linear_plant import (
     COLUMNS,
     LinearPlant,
     measured,
     problem_of,
 )
-from valve_sim.identification.fit.result import Fit
-from valve_sim.identification.fit.result import fit
-from valve_sim.identification.plants.protocol import Array, EffectChoice, Nuisance
+from valve_sim.identification.fit.fitter import Fitter, Tried
+from valve_sim.identification.fit.posterior import rivals_of
 from valve_sim.identification.fit.score_test import log_gains
+from valve_sim.identification.plants.protocol import Array, EffectChoice, Nuisance
 from valve_sim.model import Parameter, SimulationError
 
 
-def gain_of_refit(base: Fit, name: str) -> float:
+def base_of(plant: LinearPlant) -> tuple[Fitter, Tried]:
+    """The declared model, fitted."""
+    fitter = Fitter(problem_of(plant), rivals_of(plant))  # type: ignore[arg-type]
+    return fitter, fitter.fitted_declared()
+
+
+def gains(plant: LinearPlant) -> dict[str, float]:
+    fitter, tried = base_of(plant)
+    return log_gains(fitter, (), tried)
+
+
+def gain_of_refit(plant: LinearPlant, name: str) -> float:
     """What ln p gains by a fit with an effect, started from where it is first expected."""
-    effect = base.problem.plant.effects[name]
+    (fitter, tried), effect = base_of(plant), plant.effects[name]
     start = {effect.free_name(one): one.prior_scale for one in effect.parameters}
-    refitted = fit(base.problem, (*base.free, *effect.free_names()), start, nuisances=base.nuisances)
-    return refitted.log_evidence - base.log_evidence
+    refitted = fitter.descended(fitter.model((name,)), {**tried.values, **start})
+    assert refitted is not None
+    return fitter.weighed((name,), refitted).plain - tried.plain
 
 
 # -- against least squares ---------------------------------------------------------------------------------------------
@@ -38,10 +50,6 @@ def only(switch: Parameter = SWITCH) -> list[EffectChoice]:
     return [EffectChoice("e", (switch,))]
 
 
-def base_of(plant: LinearPlant) -> Fit:
-    return fit(problem_of(plant), ("level",), {})
-
-
 @pytest.mark.parametrize(
     ("size", "switch"), [(0.0, SWITCH), (0.05, SWITCH), (1.0, UPWARDS), (0.02, UPWARDS), (-0.05, UPWARDS)]
 )
@@ -52,8 +60,7 @@ def test_the_gain_of_a_switch_is_that_of_its_refit(size: float, switch: Paramete
         lambda values: values.get("e.size", 0.0) * COLUMNS[:, 1],
         effects=only(switch),
     )
-    base = base_of(plant)
-    assert log_gains(base) == {"e": pytest.approx(gain_of_refit(base, "e"), abs=0.05, rel=1e-3)}
+    assert gains(plant) == {"e": pytest.approx(gain_of_refit(plant, "e"), abs=0.05, rel=1e-3)}
 
 
 def test_a_range_that_ends_where_a_switch_is_off_counts_on_the_side_of_its_range() -> None:
@@ -65,8 +72,7 @@ def test_a_range_that_ends_where_a_switch_is_off_counts_on_the_side_of_its_range
     ratio = Parameter("ratio", "1", "of it", 0.0, 1.0, 0.4, 1.0)
     for size, effect in ((-0.5, ratio), (0.05, ratio)):
         plant = LinearPlant(measured() + size * COLUMNS[:, 1], shown, effects=[EffectChoice("e", (effect,))])
-        base = base_of(plant)
-        assert log_gains(base)["e"] == pytest.approx(gain_of_refit(base, "e"), abs=0.1, rel=1e-3)
+        assert gains(plant)["e"] == pytest.approx(gain_of_refit(plant, "e"), abs=0.1, rel=1e-3)
 
 
 def test_a_switch_that_cannot_be_simulated_is_left_out_and_the_other_is_not() -> None:
@@ -80,9 +86,9 @@ def test_a_switch_that_cannot_be_simulated_is_left_out_and_the_other_is_not() ->
     other = LinearPlant(
         measured() + COLUMNS[:, 2], lambda values: values.get("e.size", 0.0) * COLUMNS[:, 2], effects=only()
     )
-    assert log_gains(base_of(plant))["e"] == pytest.approx(log_gains(base_of(other))["e"], abs=1e-6)
+    assert gains(plant)["e"] == pytest.approx(gains(other)["e"], abs=1e-6)
     alone = LinearPlant(measured(), shown, effects=only())
-    assert log_gains(base_of(alone)) == {"e": -math.inf}
+    assert gains(alone) == {"e": -math.inf}
 
 
 def test_what_a_nuisance_can_do_within_its_prior_is_no_gain() -> None:
@@ -93,11 +99,10 @@ def test_what_a_nuisance_can_do_within_its_prior_is_no_gain() -> None:
         own = values.get("drift", 0.0) * COLUMNS[:, 1]
         return own + values.get("e.size", 0.0) * (COLUMNS[:, 1] + 0.3 * COLUMNS[:, 2])
 
-    plant = LinearPlant(measured() + 0.1 * COLUMNS[:, 1], shown, effects=only(), nuisances=[drift])
-    base = fit(problem_of(plant), ("level",), {}, nuisances=[drift])
-    found = log_gains(base)["e"]
-    assert found == pytest.approx(gain_of_refit(base, "e"), abs=0.05)
-    assert found < log_gains(base_of(plant))["e"] - 5.0
+    data = measured() + 0.1 * COLUMNS[:, 1]
+    plant, without = (LinearPlant(data, shown, effects=only(), nuisances=own) for own in ([drift], []))
+    assert gains(plant)["e"] == pytest.approx(gain_of_refit(plant, "e"), abs=0.05)
+    assert gains(plant)["e"] < gains(without)["e"] - 5.0
 
 
 # -- declared values ---------------------------------------------------------------------------------------------------
@@ -123,8 +128,27 @@ def test_a_released_value_gains_what_its_refit_gains(strength: float, off: float
     """From data that know it a fifteenth as well as its tolerance to 64 times as well."""
     sigma = 0.02
     plant = Toleranced(measured() + strength * off * sigma * COLUMNS[:, 1], strength, sigma)
-    base = fit(problem_of(plant), ("level",), {}, nuisances=plant.nuisances)
     # Where the data hardly know it, a parabola about the middle of a Cauchy density has not all of its mass.
-    assert log_gains(base)["valve.slope"] == pytest.approx(
-        gain_of_refit(base, "valve.slope"), rel=2e-3, abs=0.1 if strength > 1.0 else 0.6
+    assert gains(plant)["valve.slope"] == pytest.approx(
+        gain_of_refit(plant, "valve.slope"), rel=2e-3, abs=0.1 if strength > 1.0 else 0.6
     )
+
+
+def test_a_declared_value_without_a_tolerance_gains_what_its_refit_gains() -> None:
+    slope = Parameter("slope", "N", "of it", -1e6, 1e6, 0.2, 1.5)
+
+    class Exact(LinearPlant):
+        def parameter(self, name: str) -> Parameter:
+            return slope._replace(off=None) if name == "slope" else super().parameter(name)
+
+        def declared(self, name: str) -> float:
+            return 1.5 if name == "slope" else super().declared(name)
+
+    wrong = EffectChoice("valve.slope", (slope,), is_declared_value=True)
+    for off in (0.0, 0.1):
+        plant = Exact(
+            measured() + (1.5 + off) * COLUMNS[:, 1],
+            lambda values: values.get("slope", 1.5) * COLUMNS[:, 1],
+            effects=[wrong],
+        )
+        assert gains(plant)["valve.slope"] == pytest.approx(gain_of_refit(plant, "valve.slope"), abs=0.6, rel=2e-3)

@@ -11,10 +11,10 @@ from identification.recordings import recorded
 from valve_sim.identification.diagnosis.identify import identify
 from valve_sim.identification.fit.declared_values import out_of_tolerance
 from valve_sim.identification.fit.findings import LacksSomething
+from valve_sim.identification.fit.held_out import HeldOut, machine_values
 from valve_sim.identification.fit.problem import Problem
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.declared_values import TAKEN_AS_EXACT, declared_lines
-from valve_sim.identification.selection.prediction import HeldOut, machine_values
 from valve_sim.identification.validation.replay import validate
 from valve_sim.model import EXACT, Valve
 

@@ -11,10 +11,10 @@ import pytest
 from scipy import stats
 
 from valve_sim.identification.fit.problem import Problem
-from valve_sim.identification.plants.protocol import Array
 from valve_sim.identification.fit.residual_tests import (
     whiteness,
 )
+from valve_sim.identification.plants.protocol import Array
 
 COUNT, QUIET = 800, 400
 NONE = np.zeros(COUNT, dtype=bool)

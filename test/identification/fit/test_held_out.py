@@ -7,11 +7,11 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from identification.selection.linear_plant import COLUMNS, SAMPLES, SIGMA, LinearPlant, problem_of
+from identification.fit.linear_plant import COLUMNS, SAMPLES, SIGMA, LinearPlant, problem_of
+from identification.freed import fit
+from valve_sim.identification.fit.held_out import HeldOut, machine_values
 from valve_sim.identification.fit.result import Fit, rmse
-from valve_sim.identification.fit.result import fit
 from valve_sim.identification.plants.protocol import Array, Nuisance
-from valve_sim.identification.selection.prediction import HeldOut, machine_values
 
 STRONGER = 40.0
 """Times the training data: what training leaves open of the machine is then as large as the noise."""

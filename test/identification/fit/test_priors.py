@@ -8,7 +8,7 @@ import math
 import pytest
 from scipy.integrate import quad
 
-from identification.selection.linear_plant import LinearPlant, measured
+from identification.fit.linear_plant import LinearPlant, measured
 from valve_sim.identification.fit.priors import (
     HALF,
     Cauchy,
