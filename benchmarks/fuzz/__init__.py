@@ -2,8 +2,8 @@
 
 Bags and tables are flipped, cut, spliced and repeated; parameter files get wrong values, lines and characters; valves
 get any parameters that are accepted, with gas and without; command lines get all of it, and options that make no sense;
-a plant or a recording of a user's own gets one slip. Each input must be taken, or refused in one line: anything else, and
-whatever takes longer than ten seconds of computing, is a finding, and makes the exit code 1. A surface and a number
+a plant or a recording of a user's own gets one slip. Each input must be taken, or refused in one line: anything else,
+and whatever takes longer than ten seconds of computing, is a finding, and makes the exit code 1. A surface and a number
 give an input again. `--only topics`: messages to nodes that run, which needs ROS 2 (see `benchmarks.fuzz.topics`).
 """
 
