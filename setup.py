@@ -54,6 +54,7 @@ ROS_KILTED = [
     "ros-std-srvs==5.5.1",
 ]
 PARQUET = ["pyarrow>=14.0"]
+TABLES = ["nptdms>=1.7", "openpyxl>=3.1"]
 FLEET = ["dask>=2024.1", "distributed>=2024.1", "fsspec>=2024.2", "s3fs>=2024.2", *PARQUET]
 OPCUA = ["asyncua>=2.1,<3"]
 MODBUS = ["pymodbus>=3.16,<4"]
@@ -120,12 +121,13 @@ setup(
         "ros": ROS_JAZZY,
         "ros-kilted": ROS_KILTED,
         "parquet": PARQUET,
+        "tables": TABLES,
         "fleet": FLEET,
         "fmi": FMI,
         "opcua": OPCUA,
         "modbus": MODBUS,
         "checks": CHECKS,
-        "test": [*CHECKS, *FLEET, *FMI, *OPCUA, *MODBUS, *S3_SERVER],
+        "test": [*CHECKS, *FLEET, *FMI, *OPCUA, *MODBUS, *S3_SERVER, *TABLES],
         "docs": DOCUMENTATION,
     },
     entry_points={

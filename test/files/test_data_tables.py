@@ -2,58 +2,189 @@
 
 from __future__ import annotations
 
+import math
 import sys
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.io import savemat
 
+from valve_sim.files.cells import number_in
 from valve_sim.files.data_tables import open_table
+from valve_sim.files.entries import Entries
+from valve_sim.files.recording_map import MapError, TimeAxis, time_axis
 from valve_sim.files.tables import TableError
 
-TIMES, LIFTS = np.arange(5) * 1e-3, np.array([0.0, 0.1, 0.5, 1.2, 1.25])
-TEXTS = {
-    "commas": "t,lift\n" + "".join(f"{t},{x}\n" for t, x in zip(TIMES, LIFTS, strict=True)),
-    "semicolons and decimal commas": "t;lift\n"
-    + "".join(f"{t};{x}\n".replace(".", ",") for t, x in zip(TIMES, LIFTS, strict=True)),
-    "tabs": "t\tlift\n" + "".join(f"{t}\t{x}\n" for t, x in zip(TIMES, LIFTS, strict=True)),
-    "blanks and decimal commas": "t lift\n"
-    + "".join(f" {t}   {x}\n".replace(".", ",") for t, x in zip(TIMES, LIFTS, strict=True)),
-    "names in a comment": "# made by numpy\n# t,lift\n"
-    + "".join(f"{t},{x}\n" for t, x in zip(TIMES, LIFTS, strict=True)),
-    "a preamble and empty lines": 'Model,"X 1",\nSample Interval,0.001\n\nt,lift\n\n'
-    + "".join(f"{t},{x}\n" for t, x in zip(TIMES, LIFTS, strict=True)),
-    "a comma at each end, quotes": '"t","lift",\n'
-    + "".join(f'"{t}","{x}",\n' for t, x in zip(TIMES, LIFTS, strict=True)),
-    "a time of day beside": "t,lift,clock\n"
-    + "".join(f"{t},{x},12:00:01\n" for t, x in zip(TIMES, LIFTS, strict=True)),
-    "words and quoted decimal commas": "t,lift,state\n"
-    + "".join(f'"{t}","{x}",run\n'.replace(".", ",") for t, x in zip(TIMES, LIFTS, strict=True)),
-    "ISO dates": "t,lift\n"
-    + "".join(f"2024-03-02T23:59:59.{int(1e6 * t):06d}Z,{x}\n" for t, x in zip(TIMES, LIFTS, strict=True)),
-    "German dates": "t;lift\n"
-    + "".join(f"02.03.2024 00:00:00,{int(1e6 * t):06d};{x}\n" for t, x in zip(TIMES, LIFTS, strict=True)),
-    "names above units above sensors": "t,lift\ns,mm\nai0,ai1\n"
-    + "".join(f"{t},{x}\n" for t, x in zip(TIMES, LIFTS, strict=True)),
-}
+TIMES, LIFTS = np.arange(12) * 1e-3, np.array([0.0, 0.1, 0.5, 1.2, *[1.25] * 8])
+MIDNIGHT = datetime(2024, 3, 2, 23, 59, 59, 995_000)
+"""What has dates goes on over the end of a day."""
+
+
+def rows(form: str, *, comma: bool = False) -> str:
+    """A line for each row: n, t s, x mm, and d, its date; decimal commas where they are wanted."""
+    lines = []
+    for n, (t, x) in enumerate(zip(TIMES.tolist(), LIFTS.tolist(), strict=True)):
+        number = [f"{value:.6f}" for value in (t, x, 1e3 * t)]
+        t_, x_, ms = (text.replace(".", ",") if comma else text for text in number)
+        lines.append(form.format(n=n, t=t_, x=x_, ms=ms, d=MIDNIGHT + timedelta(seconds=t)))
+    return "\n".join(lines) + "\n"
+
+
+LABVIEW = (
+    "LabVIEW Measurement\t\nSeparator\tTab\nDecimal_Separator\t,\nX_Columns\tOne\n***End_of_Header***\t\n\t\n"
+    "Channels\t2\t\t\t\nSamples\t12\t12\t\t\nTime\t14:37:48,5\t14:37:48,5\t\t\nX_Dimension\tTime\tTime\t\t\n"
+    "X0\t0,0E+0\t0,0E+0\t\t\nDelta_X\t0,001\t0,001\t\t\n***End_of_Header***\t\t\t\t\n"
+)
+YOKOGAWA = (
+    '"Header Size"  ,8\n"TraceName"    ,"lift  ","CH2   "\n"BlockSize"    ,12,12\n"VUnit"        ,"mm ","V  "\n'
+    '"HResolution"  ,1.0E-03,1.0E-03\n"HUnit"        ,"s  ","s  "\n"Date"         ,"2024/03/02","2024/03/02"\n'
+    '"Time"         ,"14:37:48.00","14:37:48.00"\n\n'
+)
+TWINCAT = (
+    "Name\tScope Project\nStarttime of export\t133538000000000000\t02.03.2024\t14:37:48\n\n"
+    "Name\tvolt\tName\tlift\nData-Type\tREAL64\tData-Type\tREAL64\nSampleTime[ms]\t1\tSampleTime[ms]\t1\n"
+    "SymbolBased\tTrue\tSymbolBased\tTrue\nOffset\t0\tOffset\t0\nUnit\tV\tUnit\tmm\nBitMask\t0xFF\tBitMask\t0xFF\n\n"
+)
+CAMPBELL = '"TOA5","CR1000","CR1000","1234"\n"TIMESTAMP","RECORD","lift","x"\n"TS","RN","mm","m"\n"","","Smp","Avg"\n'
+TEKTRONIX = ("Record Length,12", "Sample Interval,1e-3", "Trigger Point,0", ",", ",", "Source,CH1", "Vertical Units,V")
+MSO = (
+    "Model,MSO44\n\nWaveform Type,ANALOG,,\nHorizontal Scale,0.01,,\nSample Interval,1e-3,,\nRecord Length,12,,\n"
+    ",,,\nLabel,coil,lift\n"
+)
+FORMS: dict[str, tuple[str | bytes, object, str]] = {
+    # what is read, the time of its map, and the column of the lift
+    "commas": ("t,lift\n" + rows("{t},{x}"), "t", "lift"),
+    "semicolons, decimal commas": ("t;lift\n" + rows("{t};{x}", comma=True), "t", "lift"),
+    "tabs": ("t\tlift\n" + rows("{t}\t{x}"), "t", "lift"),
+    "tabs, decimal commas": ("t\tlift\n" + rows("{t}\t{x}", comma=True), "t", "lift"),
+    "bars": ("t | lift\n" + rows("{t} | {x}"), "t", "lift"),
+    "blanks, decimal commas": ("t lift\n" + rows(" {t}   {x}", comma=True), "t", "lift"),
+    "decimal commas in quotes": ("t,lift,u\n" + rows('"{t}","{x}","9,0"', comma=True), "t", "lift"),
+    "sep=;": ("sep=;\nt;lift\n" + rows("{t};{x}", comma=True), "t", "lift"),
+    "names in a comment": ("# made by numpy\n# t,lift\n" + rows("{t},{x}"), "t", "lift"),
+    "a preamble and empty lines": ('Model,"X 1",\nInterval,0.001\n\nt,lift\n\n' + rows("{t},{x}"), "t", "lift"),
+    "no names": (rows("{t},{x}"), 1, "2"),
+    "names with commas": ('"t, s","lift, mm"\n' + rows("{t},{x}"), "t, s", "lift, mm"),
+    "names on two lines": ('"t\n(s)","lift\n(mm)"\n' + rows("{t},{x}"), "t (s)", "lift (mm)"),
+    "a name twice": ("t,ai,ai\n" + rows("{t},9,{x}"), "t", "ai_3"),
+    "names that are numbers": ("x,1,2\nsecond,Volt,Volt\n" + rows("{t},9,{x}"), "x", "channel 2"),
+    "an index of pandas": (",t,lift\n" + rows("{n},{t},{x}"), "t", "lift"),
+    "names, units, sensors": ("t,lift\ns,mm\nai0,ai1\n" + rows("{t},{x}"), "t", "lift"),
+    "sensors, names, units": ("ai0,ai1\nt,lift\ns,mm\n" + rows("{t},{x}"), "t", "lift"),
+    "units, names": ("s,mm\nt,lift\n" + rows("{t},{x}"), "t", "lift"),
+    "by the name of a sensor": ("t,lift\ns,mm\nai0,ai1\n" + rows("{t},{x}"), "t", "ai1"),
+    "a comma at each end": ('"t","lift",\n' + rows('"{t}","{x}",'), "t", "lift"),
+    "tabs at either end": ("\tt\tlift\t\n" + rows("\t{t}\t{x}\t"), "t", "lift"),
+    "old Macintosh": (("t,lift\n" + rows("{t},{x}")).replace("\n", "\r").encode(), "t", "lift"),
+    "Windows": (("t,lift\n" + rows("{t},{x}")).replace("\n", "\r\n").encode(), "t", "lift"),
+    "UTF-8 with a mark": (("t,lift\n" + rows("{t},{x}")).encode("utf-8-sig"), "t", "lift"),
+    "UTF-16 with a mark": (("t,lift\n" + rows("{t},{x}")).encode("utf-16"), "t", "lift"),
+    "UTF-16 without": (("t,lift\n" + rows("{t},{x}")).encode("utf-16-le"), "t", "lift"),
+    "UTF-16, other order": (("t,lift µ\n" + rows("{t},{x}")).encode("utf-16-be"), "t", "lift µ"),
+    "Latin-1": (("t,lift [µ]\n" + rows("{t},{x}")).encode("latin-1"), "t", "lift [µ]"),
+    "words beside": ("t,frame,lift,state\n" + rows("{t},valve,{x},run"), "t", "lift"),
+    "words of ros2 topic echo --csv": (
+        rows("1709390268,{n}000000,base,{x}"), {"column": [1, 2], "unit": ["s", "ns"]}, "4",
+    ),
+    "seconds and nanoseconds": ("sec,nanosec,lift\n" + rows("1709390268,{n}000000,{x}"), ["sec", "nanosec"], "lift"),
+    "seconds and microseconds": (
+        "a,b,lift\n" + rows("5,{n}000,{x}"), {"column": ["a", "b"], "unit": ["s", "us"]}, "lift",
+    ),
+    "milliseconds": ("t,lift\n" + rows("{ms},{x}"), {"column": "t", "unit": "ms"}, "lift"),
+    "ISO dates": ("t,lift\n" + rows("{d:%Y-%m-%dT%H:%M:%S.%f},{x}"), "t", "lift"),
+    "ISO dates of UTC": ("t,lift\n" + rows("{d:%Y-%m-%d %H:%M:%S.%f}Z,{x}"), "t", "lift"),
+    "ISO dates with nanoseconds": ("t,lift\n" + rows("{d:%Y-%m-%d %H:%M:%S.%f}000+01:00,{x}"), "t", "lift"),
+    "basic ISO dates": ("t,lift\n" + rows("{d:%Y%m%dT%H%M%S.%f},{x}"), "t", "lift"),
+    "German dates": ("t;lift\n" + rows("{d:%d.%m.%Y %H:%M:%S,%f};{x}", comma=True), "t", "lift"),
+    "German short dates": ("t;lift\n" + rows("{d:%d.%m.%y %H:%M:%S,%f};{x}", comma=True), "t", "lift"),
+    "date and time": ("Date,Time,lift\n" + rows("{d:%Y-%m-%d,%H:%M:%S.%f},{x}"), ["Date", "Time"], "lift"),
+    "time of day": ("Time,lift\n" + rows("{d:%H:%M:%S.%f},{x}"), "Time", "lift"),
+    "minutes of a spreadsheet": ("Time,lift\n" + rows("{d:%M:%S.%f},{x}"), "Time", "lift"),
+    "American dates": (
+        "t,lift\n" + rows("{d:%m/%d/%Y %I:%M:%S.%f %p},{x}"),
+        {"column": "t", "format": "%m/%d/%Y %I:%M:%S.%f %p"}, "lift",
+    ),
+    "dates of MATLAB": (
+        "t,lift\n" + rows("{d:%d-%b-%Y %H:%M:%S.%f},{x}"), {"column": "t", "format": "%d-%b-%Y %H:%M:%S.%f"}, "lift",
+    ),
+    "Fortran": ("t lift\n" + rows("{t}D+00 {x}D+00"), "t", "lift"),
+    "LabVIEW": (LABVIEW + "X_Value\tlift\tVoltage 1\tComment\n" + rows("{t}\t{x}\t9\t", comma=True), "X_Value", "lift"),
+    "Campbell": (CAMPBELL + rows('"{d:%Y-%m-%d %H:%M:%S.%f}",{n},{x},"NAN"'), "TIMESTAMP", "lift"),
+    "Rigol": ("X,lift,CH2,Start,Step\nSequence,Volt,Volt,0,1e-3\n" + rows("{n},{x},9,,"), {"rate": 1000}, "lift"),
+    "Yokogawa": (YOKOGAWA + rows(",{x},9"), {"rate": 1000}, "lift"),
+    "TwinCAT": (TWINCAT + rows("{ms}\t9\t{ms}\t{x}"), {"column": "Name", "unit": "ms"}, "lift"),
+    "Tektronix, rows beside the preamble": (
+        "".join(f"{(*TEKTRONIX, *[','] * 5)[n]},,{own}\n" for n, own in enumerate(rows("{t},{x}").splitlines())),
+        4, "5",
+    ),
+    "Tektronix": (MSO + "TIME,CH1,CH2\n" + rows("{t},9,{x}"), "TIME", "lift"),
+    "LeCroy": ("LECROY,1,Wave\nSegments,1,Size,12\n#1,02-Mar-2024,0\nTime,lift\n" + rows("{t},{x}"), "Time", "lift"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_a_form_is_read(form: str, tmp_path: Path) -> None:
+    content, time, lift = FORMS[form]
+    file = tmp_path / "a.csv"
+    file.write_bytes(content if isinstance(content, bytes) else content.encode())
+    table = open_table(file)
+    times = table.row_times(time_axis(Entries("map", MapError), time))
+    np.testing.assert_allclose(times.times - times.times[0], TIMES, atol=1e-10)
+    assert times.kept.all()
+    np.testing.assert_allclose(table.column(lift), LIFTS)
+    assert table.findings == ()
+
+
+def test_dates_say_when_a_table_was_written(tmp_path: Path) -> None:
+    file = tmp_path / "a.csv"
+    file.write_text("t,lift\n" + rows("{d:%Y-%m-%dT%H:%M:%S.%f},{x}"))
+    times = open_table(file).row_times(TimeAxis(("t",)))
+    assert times.origin + times.times[0] == pytest.approx(MIDNIGHT.replace(tzinfo=timezone.utc).timestamp(), abs=1e-6)
 
 
 @pytest.mark.parametrize(
-    ("kind", "encoding"),
+    ("text", "time", "words"),
     [
-        *((kind, "utf-8") for kind in TEXTS),
-        *(("tabs", own) for own in ("utf-8-sig", "utf-16", "utf-16-le", "utf-16-be")),
+        (
+            "t,x\n" + rows("{d:%m/%d/%Y %H:%M:%S},{x}"),
+            "t",
+            "found '03/02/2024 23:59:59', expected .* time: format:",
+        ),
+        ("t,x\n" + rows("{d:%d.%m.%Y},{x}"), {"column": "t", "format": "%m/%d/%Y"}, "expected a time as %m/%d/%Y"),
+        ("a,b,x\n" + rows("5,{n},{x}"), ["a", "b"], r"does not say which part of a second .* unit: \[s, ns\]"),
+        ("t,x\n" + rows("5,{x}"), "t", r"rows have the time of the row before.*column: \[sec, nanosec\]"),
     ],
 )
-def test_text(kind: str, encoding: str, tmp_path: Path) -> None:
-    file = tmp_path / "a.csv"
-    file.write_text(TEXTS[kind], encoding=encoding)
-    table = open_table(file)
-    assert table.names[:2] == ("t", "lift")
-    np.testing.assert_allclose(table.column("t") - table.column("t")[0], TIMES, atol=1e-10)
+def test_times_that_nobody_can_read_are_refused(text: str, time: object, words: str, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(TableError, match=words):
+        open_table(tmp_path / "a.csv").row_times(time_axis(Entries("map", MapError), time))
+
+
+@pytest.mark.parametrize(
+    ("place", "line"), [(0, "oops,0.1"), (1, "oops,0.1"), (2, "oops,0.1"), (5, "oops,0.1"), (5, "0.005")]
+)
+def test_a_broken_row_is_named_and_none_is_lost(place: int, line: str, tmp_path: Path) -> None:
+    lines = rows("{t},{x}").splitlines()
+    lines[place] = line
+    (tmp_path / "a.csv").write_text("\n".join(["t,lift", *lines]))
+    table = open_table(tmp_path / "a.csv")
+    assert table.names == ("t", "lift")
+    assert table.rows == len(TIMES)
+    with pytest.raises(TableError, match=f"line {place + 2}: column "):
+        table.column("t" if "oops" in line else "lift")
+
+
+@pytest.mark.parametrize(
+    ("end", "words"), [("0.012", "'0.012'"), ("End of data", "'End of data'"), ("\nmax,over all", "'max,over all'")]
+)
+def test_what_follows_the_numbers_is_left_out_and_said(end: str, words: str, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("t,lift\n" + rows("{t},{x}") + end)
+    table = open_table(tmp_path / "a.csv")
     np.testing.assert_allclose(table.column("lift"), LIFTS)
-    np.testing.assert_array_equal(table.column("2"), table.column("lift"))
+    assert words in table.findings[0]
 
 
 @pytest.mark.parametrize(
@@ -74,12 +205,22 @@ def test_names_and_units(head: str, names: tuple[str, ...], units: dict[str, str
     assert table.units == units
 
 
-def test_cells_that_say_a_number_in_words(tmp_path: Path) -> None:
-    file = tmp_path / "a.csv"
-    file.write_text("t,coil,lift\n0,TRUE,1\n1,FALSE,#N/A\n2,on,∞\n3,OFF,-∞\n")
-    table = open_table(file)
-    np.testing.assert_array_equal(table.column("coil"), [1.0, 0.0, 1.0, 0.0])
-    np.testing.assert_array_equal(table.column("lift"), [1.0, np.nan, np.inf, -np.inf])
+CELLS = {
+    1.0: ("1", "TRUE", "on", "Ein"),
+    0.0: ("false", "OFF", "aus"),
+    math.nan: ("", "-", "#N/A", "NaN", "-nan(ind)", "1.#QNAN", "#DIV/0!", "null", "Invalid"),
+    math.inf: ("∞", "inf", "1.#INF", "OVERLOAD", "OL", "over range"),
+    -math.inf: ("-∞", "-1.#INF", "-Infinity"),
+    1234567.5: ("1234567,5", "1,234,567.5", "1.234.567,5", "1'234'567.5", "1.2345675D6"),
+    2000.0: ("2000", "2E3", "2e+3"),
+    None: ("ERROR 7", "12:00:01", "1_000", "open"),
+}
+
+
+@pytest.mark.parametrize(("value", "cell"), [(value, cell) for value, cells in CELLS.items() for cell in cells])
+def test_a_cell_says_a_number(value: float | None, cell: str) -> None:
+    found = number_in(cell)
+    assert found == value or (found is not None and value is not None and math.isnan(found) and math.isnan(value))
 
 
 def test_cells_stay_in_their_columns_and_a_last_one_may_begin_late(tmp_path: Path) -> None:
@@ -113,23 +254,14 @@ def test_parquet(tmp_path: Path) -> None:
     pyarrow = pytest.importorskip("pyarrow")
     parquet = pytest.importorskip("pyarrow.parquet")
     file = tmp_path / "a.parquet"
-    stamps = np.array([1_700_000_000_000_000_000 + 1_000_000 * row for row in range(5)], "datetime64[ns]")
-    parquet.write_table(pyarrow.table({"t": stamps, "lift": LIFTS, "note": ["a", "b", "c", "d", "e"]}), file)
+    stamps = np.array([1_700_000_000_000_000_000 + 1_000_000 * row for row in range(len(TIMES))], "datetime64[ns]")
+    parquet.write_table(pyarrow.table({"t": stamps, "lift": LIFTS, "note": [*"abcdefghijkl"]}), file)
     table = open_table(file)
     assert table.names == ("t", "lift", "note")
     np.testing.assert_allclose(np.diff(table.column("t")), 1e-3, atol=3e-7)
     np.testing.assert_array_equal(table.column("lift"), LIFTS)
     with pytest.raises(TableError, match=r"row 1: column note: found 'a', expected a number"):
         table.column("note")
-
-
-def test_parquet_without_pyarrow_says_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
-    monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
-    file = tmp_path / "a.parquet"
-    file.write_bytes(b"PAR1")
-    with pytest.raises(TableError, match=r"need pyarrow, which is not installed; pip install pyarrow"):
-        open_table(file)
 
 
 def test_matlab(tmp_path: Path) -> None:
@@ -141,19 +273,65 @@ def test_matlab(tmp_path: Path) -> None:
     np.testing.assert_array_equal(table.column("both[2]"), LIFTS)
 
 
+def test_a_spreadsheet_is_read_with_its_dates_to_the_microsecond(tmp_path: Path) -> None:
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    book.active.append(["only words"])
+    sheet = book.create_sheet("measured")
+    for row in (["made by the lab"], ["t", "on", "lift"], ["d", None, "mm"]):
+        sheet.append(row)
+    for t, x in zip(TIMES.tolist(), LIFTS.tolist(), strict=True):
+        sheet.append([45353.6 + t / 86400.0, True, x])
+        sheet.cell(sheet.max_row, 1).number_format = "yyyy-mm-dd hh:mm:ss.000"
+    book.save(tmp_path / "a.xlsx")
+    table = open_table(tmp_path / "a.xlsx")
+    assert table.names == ("t", "on", "lift")
+    assert table.units == {"t": "d", "lift": "mm"}
+    times = table.row_times(TimeAxis(("t",), (86400.0,))).times
+    np.testing.assert_allclose(times - times[0], TIMES, atol=2e-6)
+    np.testing.assert_array_equal(table.column("on"), 1.0)
+    np.testing.assert_allclose(table.column("lift"), LIFTS)
+
+
+def test_tdms_has_its_times_from_the_waveforms(tmp_path: Path) -> None:
+    nptdms = pytest.importorskip("nptdms")
+    about = {"wf_increment": 1e-3, "wf_start_offset": 0.0, "wf_samples": len(TIMES), "unit_string": "mm"}
+    with nptdms.TdmsWriter(tmp_path / "a.tdms") as writer:
+        writer.write_segment([nptdms.ChannelObject("lab", "lift", LIFTS, about)])
+    table = open_table(tmp_path / "a.tdms")
+    assert set(table.names) == {"lift", "time"}
+    assert table.units["lift"] == "mm"
+    np.testing.assert_allclose(table.column("time"), TIMES, atol=1e-12)
+    np.testing.assert_array_equal(table.column("lift"), LIFTS)
+
+
+@pytest.mark.parametrize(("suffix", "package"), [("xlsx", "openpyxl"), ("tdms", "nptdms"), ("parquet", "pyarrow")])
+def test_what_a_kind_of_file_needs_is_said(
+    suffix: str, package: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in (package, f"{package}.parquet"):
+        monkeypatch.setitem(sys.modules, name, None)
+    (tmp_path / f"a.{suffix}").write_bytes(b"PAR1")
+    with pytest.raises(TableError, match=f"need {package}, which is not installed; pip install {package}"):
+        open_table(tmp_path / f"a.{suffix}")
+
+
 REFUSED = {
     "a.csv": (b"", "is empty"),
     "b.csv": (b"some words\nand more\n", "no table of numbers"),
     "c.mat": (b"no matlab file, though long enough to have a header of its own" * 9, "is not a MATLAB file"),
     "d.mat": (b"MATLAB 7.3 MAT-file, Platform: x".ljust(124) + b"\0\2IM" + bytes(400), "MATLAB 7.3 .*-v7"),
     "e.parquet": (b"PAR1 and then nothing", "is not a Parquet file"),
+    "f.xlsx": (b"PK and then nothing", "is not an Excel file"),
+    "g.tdms": (b"TDSm and then nothing", "holds no column of numbers"),
 }
 
 
 @pytest.mark.parametrize("name", REFUSED)
 def test_what_is_no_table_is_refused(name: str, tmp_path: Path) -> None:
-    if name.endswith("parquet"):
-        pytest.importorskip("pyarrow")
+    needed = {"parquet": "pyarrow", "xlsx": "openpyxl", "tdms": "nptdms"}.get(name.partition(".")[2])
+    if needed:
+        pytest.importorskip(needed)
     data, expected = REFUSED[name]
     (tmp_path / name).write_bytes(data)
     with pytest.raises(TableError, match=expected) as caught:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import signal
@@ -11,13 +12,15 @@ import time
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Final, NamedTuple, NoReturn
 
+import psutil
 import pytest
 
 from valve_sim.fleet import run as fleet_run
 from valve_sim.fleet.run import RETRIES, dask_client, examine_fleet
-from valve_sim.fleet.units import Options
+from valve_sim.fleet.units import Options, Unit
+from valve_sim.fleet.work import examine
 from valve_sim.model.errors import ValveError
 
 from .bags import assert_rows_agree, make_bag
@@ -125,26 +128,58 @@ def test_killed_workers_failures_and_a_killed_scheduler(
     assert "Traceback" not in capfd.readouterr().err
 
 
-def test_ctrl_c_ends_the_command_and_its_workers_with_one_line(tmp_path: Path) -> None:
-    for day in range(3):
+BUSY: Final = """
+from fleet.test_cluster import examined_for_ever
+from valve_sim.__main__ import main
+from valve_sim.fleet import run
+
+run.examine = examined_for_ever
+main()
+"""
+"""valve-sim whose fleet is never done."""
+
+
+def examined_for_ever(unit: Unit, output: Path) -> NoReturn:
+    """The work of a valve, over and over, so that it is not over before Ctrl-C."""
+    while True:
+        (output / f"{os.getpid()}.busy").touch()
+        examine(unit, output)
+
+
+@pytest.mark.parametrize("when", ["workers start", "valves are examined"])
+def test_ctrl_c_ends_the_command_and_its_workers_with_one_line(tmp_path: Path, when: str) -> None:
+    for day in range(2):
         make_bag(tmp_path / "bags" / f"day_{day}", day, seed=1 + day)
-    command = [sys.executable, "-m", "valve_sim", "fleet", str(tmp_path / "bags"), "--output", str(tmp_path / "out")]
+    output = tmp_path / "out"
+    words = ["fleet", str(tmp_path / "bags"), "--output", str(output), "--full", "--workers", "2"]
     process = subprocess.Popen(
-        [*command, "--full", "--workers", "2"], stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        [sys.executable, "-c", BUSY, *words],
+        env={**os.environ, "PYTHONPATH": str(ROOT / "test")}, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
         start_new_session=True,
     )  # fmt: skip
-    assert process.stderr is not None
-    for line in process.stderr:
-        if "looked at: 3" in line:
-            break
+    while not (_started(process.pid) if when == "workers start" else len([*output.glob("*.busy")]) == 2):
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.01)
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does, to workers, too
-    told = process.communicate()
+    try:
+        told = process.communicate(timeout=120.0)
+    finally:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
     deadline = time.monotonic() + 20.0
     while _is_alive(process.pid) and time.monotonic() < deadline:
         time.sleep(0.1)
     assert process.returncode == 130
-    assert "Traceback" not in told[0] + told[1]
+    lines = [line for line in told[1].splitlines() if line and " done: " not in line]
+    assert (told[0], lines) == ("", ["valve-sim: stopped"])
     assert not _is_alive(process.pid)
+
+
+def _started(command: int) -> bool:
+    """Whether a worker of this process has begun to start."""
+    with contextlib.suppress(psutil.Error):
+        return any("spawn_main" in " ".join(process.cmdline()) for process in psutil.Process(command).children())
+    return False
 
 
 def _is_alive(group: int) -> bool:

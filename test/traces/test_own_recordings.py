@@ -324,7 +324,7 @@ UNFIT_TABLES = {
         r"lab.yaml: position: column CH9 is not in .*scope.csv; it has Time, CH1, CH2, CH3",
     ),
     "backwards": (TABLE, lambda text: row(text, 100, "-0,5;0;0;0"), "line 100: time column Time runs backwards"),
-    "text": (TABLE, lambda text: row(text, 77, "1;0;OVERLOAD;0"), "line 77: column CH2: found 'OVERLOAD'"),
+    "text": (TABLE, lambda text: row(text, 77, "1;0;ERROR 7;0"), "line 77: column CH2: found 'ERROR 7'"),
     "a short row": (TABLE, lambda text: row(text, 78, "1;0"), "line 78: column CH2: found nothing"),
     "a voltage that is no command": (
         TABLE.replace("voltage", "command"),

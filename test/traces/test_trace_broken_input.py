@@ -17,12 +17,15 @@ import zstandard
 from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from valve_sim.files.recording_map import map_from
 from valve_sim.traces import TraceError, list_valves, read_trace
 from valve_sim.traces.mcap_files import unpack_zstd
 
 from .bag_makers import (
     EPOCH,
+    FLOAT,
     GAP,
     JOINT_STATE,
     Message,
@@ -30,6 +33,7 @@ from .bag_makers import (
     clean_trace,
     float_message,
     good_messages,
+    header,
     joint_state,
     make_folder,
     make_mcap,
@@ -229,12 +233,15 @@ def check(path: Path, finding: str, least: int, most: int = 1000) -> None:
     np.testing.assert_array_equal(trace.pilot_position, truth.pilot_position[nearest])
 
 
-def mcap_by_another_writer(path: Path, **options: Any) -> Path:
-    """Write the good messages as other recorders do: with checksums, small chunks, or none."""
+def mcap_by_another_writer(path: Path, *, beside: bool = False, **options: Any) -> Path:
+    """Write the good messages as other recorders do: with checksums, small chunks, or none; others beside them."""
     with path.open("wb") as stream:
         writer = McapWriter(stream, compression=CompressionType.NONE, **options)
         writer.start("ros2", "test")
         channels: dict[str, int] = {}
+        for encoding in ("protobuf", "json") if beside else ():
+            schema = writer.register_schema(f"lab.{encoding}", encoding, b"{}")
+            writer.add_message(writer.register_channel(f"/{encoding}", encoding, schema), EPOCH, b"{}", EPOCH)
         for message in good_messages():
             if message.topic not in channels:
                 schema = writer.register_schema(message.type, "ros2msg", b"")
@@ -300,6 +307,27 @@ def with_write_ahead_log(tmp: Path) -> Path:
     return tmp / "killed"
 
 
+def with_journal(tmp: Path) -> Path:
+    """As something that was changing the database leaves it when it is killed: half changed, with what undoes it."""
+    path = folder(tmp, storage=StoragePlugin.SQLITE3)
+    file = next(path.glob("*.db3"))
+    (tmp / "killed").mkdir()
+    with closing(sqlite3.connect(file, isolation_level=None)) as connection:
+        for command in ("PRAGMA journal_mode=DELETE", "PRAGMA cache_size=2", "BEGIN", "DELETE FROM messages"):
+            connection.execute(command)
+        for name in (file.name, file.name + "-journal"):
+            shutil.copy(path / name, tmp / "killed" / name)
+        connection.execute("ROLLBACK")
+    return tmp / "killed"
+
+
+def windows_metadata(tmp: Path) -> Path:
+    path = folder(tmp)
+    text = (path / "metadata.yaml").read_text()
+    (path / "metadata.yaml").write_bytes(text.replace("\n", "\r\n").encode())
+    return path
+
+
 def with_quality_of_service(tmp: Path, text: str) -> Path:
     path = folder(tmp, storage=StoragePlugin.SQLITE3)
     with closing(sqlite3.connect(next(path.glob("*.db3")))) as connection:
@@ -339,6 +367,8 @@ READ: dict[str, tuple[Callable[[Path], Path], str, tuple[int, int]]] = {
     "without an index": (lambda tmp: small_chunks(tmp, index_types=IndexType.NONE), "", WHOLE),
     "with an index of chunks alone": (lambda tmp: small_chunks(tmp, index_types=IndexType.CHUNK), "", WHOLE),
     "channels not repeated": (lambda tmp: small_chunks(tmp, repeat_channels=False), "", WHOLE),
+    "schemas not repeated": (lambda tmp: small_chunks(tmp, repeat_schemas=False), "", WHOLE),
+    "other encodings beside": (lambda tmp: small_chunks(tmp, beside=True), "", WHOLE),
     "a damaged chunk": (lambda tmp: small_chunks(tmp, 100_000), "1 damaged chunk", (700, 950)),
     # The first chunk alone has the types of the topics, but for the end of the file, which repeats them.
     "a damaged first chunk": (lambda tmp: small_chunks(tmp, 2000), "1 damaged chunk", (700, 950)),
@@ -378,6 +408,8 @@ READ: dict[str, tuple[Callable[[Path], Path], str, tuple[int, int]]] = {
         (350, 500),
     ),
     "a write-ahead log": (with_write_ahead_log, "kept 1002 messages, the data reach their end", WHOLE),
+    "an unfinished change": (with_journal, "kept 1002 messages, the data reach their end", WHOLE),
+    "metadata written by Windows": (windows_metadata, "", WHOLE),
     "no quality of service": (lambda tmp: with_quality_of_service(tmp, ""), "", WHOLE),
     "an edited quality of service": (lambda tmp: with_quality_of_service(tmp, "- history: [keep"), "", WHOLE),
 }
@@ -423,6 +455,44 @@ def test_messages_are_timed_by_their_publication_where_both_clocks_agree(
     trace, truth = read_trace(path), clean_trace()
     np.testing.assert_allclose(trace.drive.times - truth.drive.times, lateness, atol=1e-8)
     assert any("3.40 ms after they were published" in finding for finding in trace.findings) == (lateness == 0.0)
+
+
+IDL = """\
+{line}
+IDL: lab_msgs/msg/Lift
+#include "std_msgs/msg/Header.idl"
+module lab_msgs {{ module msg {{
+  struct Lift {{ std_msgs::msg::Header header; @unit (value="mm") double lift; }};
+}}; }};
+{line}
+IDL: std_msgs/msg/Header
+#include "builtin_interfaces/msg/Time.idl"
+module std_msgs {{ module msg {{ struct Header {{ builtin_interfaces::msg::Time stamp; string frame_id; }}; }}; }};
+{line}
+IDL: builtin_interfaces/msg/Time
+module builtin_interfaces {{ module msg {{ struct Time {{ int32 sec; uint32 nanosec; }}; }}; }};
+""".format(line="=" * 80)
+
+
+def test_a_type_of_the_lab_is_read_by_its_definition_in_idl(tmp_path: Path) -> None:
+    store, truth = get_typestore(Stores.ROS2_JAZZY), clean_trace()
+    store.register(get_types_from_msg("std_msgs/Header header\nfloat64 lift\n", "lab_msgs/msg/Lift"))
+    with (tmp_path / "a.mcap").open("wb") as stream:
+        writer = McapWriter(stream)
+        writer.start("ros2", "test")
+        volts = writer.register_channel("/volts", "cdr", writer.register_schema(FLOAT, "ros2msg", b""))
+        schema = writer.register_schema("lab_msgs/msg/Lift", "ros2idl", IDL.encode())
+        lifts = writer.register_channel("/lift", "cdr", schema)
+        for message in without(good_messages(), "/valve/measured/joint_states"):
+            writer.add_message(volts, message.time, message.data, message.time)
+        for time, lift in zip(truth.times.tolist(), truth.pilot_position.tolist(), strict=True):
+            stamp = EPOCH + round(time * 1e9)
+            message = store.types["lab_msgs/msg/Lift"](header(stamp), 1e3 * lift)
+            writer.add_message(lifts, stamp, bytes(store.serialize_cdr(message, "lab_msgs/msg/Lift")), stamp)
+        writer.finish()  # type: ignore[no-untyped-call]
+    entries = {"command": "/volts", "position": {"topic": "/lift", "unit": "mm"}}
+    found = read_trace(tmp_path / "a.mcap", None, map_from(entries, "map.yaml"))
+    np.testing.assert_allclose(found.pilot_position, truth.pilot_position, atol=1e-15)
 
 
 def test_bytes_after_a_joint_state_are_trimmed(tmp_path: Path) -> None:

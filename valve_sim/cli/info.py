@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from valve_sim.cli.command_line import Command
-from valve_sim.cli.options import bags_argument, json_option, map_option, params_option, valve_option
+from valve_sim.cli.options import FILE, bags_argument, json_option, map_option, params_option, valve_option
 from valve_sim.cli.printing import print_json, progress_bar, shown
 from valve_sim.cli.reading import chosen_map, declared_parameters, declared_valve
 from valve_sim.files.json_text import plain
@@ -18,7 +18,7 @@ from valve_sim.files.json_text import plain
 if TYPE_CHECKING:
     from valve_sim.files.recording_map import RecordingMap
     from valve_sim.identification.diagnosis.recording_state import RecordingState
-    from valve_sim.traces import StrokeEvents, Trace, TraceSummary
+    from valve_sim.traces import StrokeEvents, StrokePart, Trace, TraceSummary
 
 
 @click.command(cls=Command)
@@ -31,8 +31,20 @@ if TYPE_CHECKING:
     help="Also fit the declared valve, and list the errors of the recording (drift, hum, ringing ...) with what to do "
     "about them, and how large each effect would have to be to be named.",
 )  # fmt: skip
+@click.option(
+    "--plot", metavar="FILE", type=FILE,
+    help="Draw the channels over time and the strokes beside each other: .png, .svg or .pdf.",
+)  # fmt: skip
 @json_option
-def info(*, bags: tuple[Path, ...], name: str | None, params: Path | None, with_state: bool, as_json: bool) -> None:
+def info(
+    *,
+    bags: tuple[Path, ...],
+    name: str | None,
+    params: Path | None,
+    with_state: bool,
+    plot: Path | None,
+    as_json: bool,
+) -> None:
     """Show what recordings contain.
 
     Valves, signals and their rates, strokes, gaps, clock problems, and what was dropped or repaired on reading:
@@ -43,14 +55,21 @@ def info(*, bags: tuple[Path, ...], name: str | None, params: Path | None, with_
     --state the declared valve is fitted, and the errors of the recording are listed:
       valve-sim info bags/eight_strokes.mcap --state
 
-    Several recordings are shown one after the other. One valve of several, for a program:
+    Several recordings are shown one after the other, and drawn below each other:
+      valve-sim info bags/friction bags/eight_strokes.mcap --plot first_look.png
+
+    One valve of several, for a program:
       valve-sim info station_bag --valve /tank_1/valve --json
 
     Read on: docs/reference/info.md, docs/how_to/your_own_recordings.md, docs/how_to/record_well.md
     """
     from valve_sim.traces import another_valve, describe, doubtful_units, events_from_sensors, read_trace
 
-    valves, recording_map = [], chosen_map()
+    if plot is not None:
+        from valve_sim.files.whole_files import refuse_unwritable
+
+        refuse_unwritable(plot)
+    valves, traces, recording_map = [], [], chosen_map()
     places = [(bag, valve) for bag in bags for valve in _valves_of(bag, name, recording_map)]
     for bag, valve in places:
         parameters = declared_parameters(params, valve)
@@ -59,6 +78,10 @@ def info(*, bags: tuple[Path, ...], name: str | None, params: Path | None, with_
         trace = dataclasses.replace(trace, findings=(*trace.findings, *doubts))
         state = _state(trace, params, valve) if with_state else None
         valves.append((describe(trace), events_from_sensors(trace, parameters.pilot_gap), state))
+        if plot is not None:
+            traces.append(trace)
+    if plot is not None:
+        _draw(plot, [(trace, own.strokes, arrivals) for trace, (own, arrivals, _) in zip(traces, valves, strict=True)])
     if as_json:
         print_json({"valves": [_as_json(*valve) for valve in valves]})
         return
@@ -66,6 +89,15 @@ def info(*, bags: tuple[Path, ...], name: str | None, params: Path | None, with_
         _print_summary(summary, arrivals)
         if state is not None:
             _print_state(state)
+    if plot is not None:
+        click.echo(shown(f"wrote {plot}"))
+
+
+def _draw(plot: Path, recordings: Sequence[tuple[Trace, Sequence[StrokePart], Sequence[StrokeEvents]]]) -> None:
+    from valve_sim.identification.reporting.figures import save_figure
+    from valve_sim.traces.pictures import draw_recordings
+
+    save_figure(draw_recordings(recordings), plot)
 
 
 def _valves_of(bag: Path, name: str | None, recording_map: RecordingMap | None) -> Sequence[str | None]:

@@ -1,8 +1,9 @@
-"""Tables of a data logger as columns by name: CSV with preamble, units and decimal commas; Parquet; MATLAB."""
+"""Files of data loggers as columns by name: text, Parquet, MATLAB, spreadsheets, TDMS."""
 
 from __future__ import annotations
 
 import math
+import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -11,105 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.files.bounded import LARGEST_TEXT, check_expanded, check_file
+from valve_sim.files.cells import number_in
 from valve_sim.files.recording_map import TimeAxis
-from valve_sim.files.tables import TableError
-from valve_sim.files.text_tables import MOST_COLUMNS, TextFile, number_in
+from valve_sim.files.tables import DataTable, TableError
+from valve_sim.files.text_tables import MOST_COLUMNS, TextTable
 from valve_sim.model.errors import ValveError
 
 Array = NDArray[np.float64]
 
-TEXT_SUFFIXES: Final = (".csv", ".txt", ".tsv", ".dat", ".asc", ".lvm")
+TEXT_SUFFIXES: Final = (".csv", ".txt", ".tsv", ".dat", ".asc", ".lvm", ".log", ".prn")
 PARQUET_SUFFIXES: Final = (".parquet", ".pq")
-TABLE_SUFFIXES: Final = (*TEXT_SUFFIXES, *PARQUET_SUFFIXES, ".mat")
-
-MOST_REPEATED: Final = 20
-"""Rows, of which one may have the time of the row before: logged twice, that is. More do not know their time."""
-
-
-class DataTable:
-    """Columns of numbers by name; a column is read when it is asked for.
-
-    Attributes:
-        path: the file, for messages.
-        names: of the columns, in the file's order.
-        units: column to unit, where the file says one.
-    """
-
-    def __init__(self, path: Path, names: Sequence[str], units: Mapping[str, str]) -> None:
-        self.path = path
-        self.names = tuple(names)
-        self.units = dict(units)
-
-    def has(self, name: str) -> bool:
-        """Whether there is a column of this name or number, from 1 on."""
-        return name in self.names or (name.isdigit() and 1 <= int(name) <= len(self.names))
-
-    def column(self, name: str) -> Array:
-        """The numbers of a column, (n,), NaN where a cell is empty; `name` may be its number, from 1 on.
-
-        Raises:
-            TableError: there is no such column, or one of its cells is not a number.
-        """
-        if not self.has(name):
-            raise TableError(f"{self.path}: has no column {name}; it has {', '.join(self.names)}; name one of these")
-        if name in self.names:
-            return self._numbers(self.names.index(name))
-        counted, named = self.names[int(name) - 1], f"channel {name}"
-        if named in self.names and named != counted:
-            raise TableError(
-                f"{self.path}: column {name} is ambiguous, for the file calls column {self.names.index(named) + 1} so; "
-                f"write column: {named}, or column: {counted}"
-            )
-        return self._numbers(int(name) - 1)
-
-    @property
-    def rows(self) -> int:
-        """How many rows there are."""
-        raise NotImplementedError
-
-    def place(self, row: int) -> str:
-        """Where a row (from 0 on) is in the file, for messages."""
-        return f"row {row + 1}"
-
-    def row_times(self, axis: TimeAxis) -> tuple[Array, NDArray[np.bool_], int]:
-        """When each row was taken.
-
-        Args:
-            axis: by which column of the table, or at what rate.
-
-        Returns:
-            (n,) s; (n,) which rows to keep: a row with the time of the one before goes; how many these are.
-
-        Raises:
-            TableError: a cell is empty, time runs backwards, or many rows share one time.
-        """
-        if axis.rate:
-            return np.arange(self.rows) / axis.rate, np.ones(self.rows, dtype=bool), 0
-        column = axis.column
-        times = axis.unit * self.column(column)
-        finite = np.isfinite(times)
-        if not finite.all():
-            where = self.place(int(np.argmin(finite)))
-            raise TableError(f"{self.path}: {where}: column {column} holds no time; take the row out")
-        steps = np.diff(times)
-        if (steps < 0).any():
-            row = int(np.argmax(steps < 0)) + 1
-            raise TableError(
-                f"{self.path}: {self.place(row)}: time column {column} runs backwards, {times[row]:.9g} s "
-                f"after {times[row - 1]:.9g} s; sort the rows, cut the file where the logger began anew, or name "
-                "another column"
-            )
-        kept = np.concatenate([[True], steps > 0])
-        repeated = int((~kept).sum())
-        if repeated > len(times) // MOST_REPEATED:
-            raise TableError(
-                f"{self.path}: column {column}: {repeated} of {len(times)} rows have the time of the row before; "
-                "write the time with more digits, or give time: {rate: ...} (rows a second)"
-            )
-        return times, kept, repeated
-
-    def _numbers(self, place: int) -> Array:
-        raise NotImplementedError
+SHEET_SUFFIXES: Final = (".xlsx", ".xlsm")
+TABLE_SUFFIXES: Final = (*TEXT_SUFFIXES, *PARQUET_SUFFIXES, ".mat", *SHEET_SUFFIXES, ".tdms")
 
 
 def open_table(path: Path) -> DataTable:
@@ -119,65 +33,107 @@ def open_table(path: Path) -> DataTable:
         TableError: it cannot be read as its suffix says; one line with the remedy.
     """
     suffix = path.suffix.lower()
+    openers = dict.fromkeys(PARQUET_SUFFIXES, _open_parquet) | dict.fromkeys(SHEET_SUFFIXES, _open_sheet)
+    openers |= {".mat": _open_mat, ".tdms": _open_tdms}
     try:
         check_file(path, LARGEST_TEXT, TableError)
-        if suffix in PARQUET_SUFFIXES:
-            return _open_parquet(path)
-        return _open_mat(path) if suffix == ".mat" else TextTable(path)
+        return openers.get(suffix, TextTable)(path)
     except OSError as error:
         raise TableError(f"{path}: cannot be read ({error.strerror or error}); give a file of a data logger") from error
 
 
-class TextTable(DataTable):
-    """A text file; see `TextFile`."""
+def read_table(path: Path | str, columns: Mapping[str, Sequence[str]], otherwise: str = "") -> dict[str, Array]:
+    """Columns of finite numbers from a small table.
 
-    def __init__(self, path: Path) -> None:
-        self._file = TextFile(path)
-        super().__init__(path, self._file.layout.names, self._file.layout.units)
+    A line of names selects the columns and may name others; without it, columns are in the order of `columns`.
 
-    @property
-    def rows(self) -> int:
-        """How many rows there are."""
-        return len(self._file.rows)
+    Args:
+        path: the file, a text whatever its suffix says.
+        columns: the columns to read, each with the names that a header may give it.
+        otherwise: what else would do where the header has none of these names, for the message.
 
-    def place(self, row: int) -> str:
-        """The file's own line number."""
-        return f"line {self._file.line_of(row)}"
+    Returns:
+        by the same keys, (n,) each.
 
-    def _numbers(self, place: int) -> Array:
-        return self._file.column(place)
+    Raises:
+        TableError: the file cannot be read, a column is missing, or a cell is not a finite number.
+    """
+    path = Path(path)
+    try:
+        table = open_table(path) if path.suffix.lower() in TABLE_SUFFIXES else TextTable(path)
+    except OSError as error:
+        raise TableError(f"{path}: cannot be read ({error.strerror}); expected a CSV file") from error
+    for finding in table.findings:
+        raise TableError(f"{path}: {finding}; correct the line or take it out")
+    named = {name.lower(): name for name in (*table.others, *table.names)}
+    is_counted = table.names == tuple(str(number + 1) for number in range(len(table.names)))
+    found = {}
+    for place, (key, names) in enumerate(columns.items()):
+        name = str(place + 1) if is_counted else next((named[own] for own in names if own in named), "")
+        if not name or (is_counted and place >= len(table.names)):
+            expected = ", ".join(filter(None, (" or ".join(names), otherwise)))
+            raise TableError(f"{path}: has the columns {', '.join(table.names)}; expected one named {expected}")
+        values = table.column(name)
+        if not np.isfinite(values).all():
+            where = table.place(int(np.argmin(np.isfinite(values))))
+            raise TableError(f"{path}: {where}: column {name}: found no finite number; correct the line or take it out")
+        found[key] = values
+    return found
 
 
-# --- Parquet and MATLAB ---
+# --- what is in memory already ---
 
 
 class _ArrayTable(DataTable):
     """Columns that are in memory already."""
 
-    def __init__(self, path: Path, columns: Mapping[str, Any]) -> None:
-        super().__init__(path, list(columns), {})
-        self._columns = list(columns.values())
+    def __init__(self, path: Path, columns: Mapping[str, Any], units: Mapping[str, str] | None = None) -> None:
+        super().__init__(path, list(columns), units or {})
+        self._columns = [np.asarray(column) for column in columns.values()]
 
     @property
     def rows(self) -> int:
         """How many rows there are."""
         return len(self._columns[0]) if self._columns else 0
 
+    def _are_stamps(self, places: Sequence[int], axis: TimeAxis) -> bool:
+        return self._columns[places[0]].dtype.kind == "M"
+
+    def _seconds(self, places: Sequence[int], axis: TimeAxis) -> tuple[Array, float]:
+        stamps = self._columns[places[0]].astype("datetime64[ns]").astype(np.int64)
+        origin = int(stamps[0]) // 10**9 if len(stamps) else 0
+        return np.asarray(1e-9 * (stamps - origin * 10**9), dtype=np.float64), float(origin)
+
     def _numbers(self, place: int) -> Array:
-        found = np.asarray(self._columns[place])
+        found = self._columns[place]
         if found.dtype.kind == "M":  # times of day: seconds since 1970
             return np.asarray(found.astype("datetime64[ns]").astype(np.int64) * 1e-9)
         if found.dtype.kind in "biuf":
             return np.asarray(found, dtype=np.float64)
-        try:
-            return np.array([np.nan if value is None else float(value) for value in found.tolist()])
-        except (TypeError, ValueError):
-            listed = found.tolist()
-            row = next(row for row, value in enumerate(listed) if value is not None and number_in(str(value)) is None)
+        listed = found.tolist()
+        values = [np.nan if value is None else number_in(str(value)) for value in listed]
+        if None in values:
+            row = values.index(None)
             raise TableError(
                 f"{self.path}: row {row + 1}: column {self.names[place]}: found {str(listed[row])[:40]!r}, expected a "
                 "number; name a column of numbers"
-            ) from None
+            )
+        return np.array(values, dtype=np.float64)
+
+
+def _missing(path: Path, kind: str, package: str, extra: str) -> TableError:
+    return TableError(
+        f"{path}: {kind} files need {package}, which is not installed; pip install {package} (valve_sim's extra "
+        f"{extra}), or export it as CSV"
+    )
+
+
+def _whole(path: Path, columns: Mapping[str, NDArray[Any]], units: Mapping[str, str] | None = None) -> DataTable:
+    """The columns that are as long as the longest: others are settings."""
+    rows = max((len(values) for values in columns.values()), default=0)
+    if rows < 2:
+        raise TableError(f"{path}: holds no column of numbers; save the measured vectors by their names")
+    return _ArrayTable(path, {name: values for name, values in columns.items() if len(values) == rows}, units)
 
 
 def _open_parquet(path: Path) -> DataTable:
@@ -185,9 +141,7 @@ def _open_parquet(path: Path) -> DataTable:
         import pyarrow.parquet
         from pyarrow.lib import ArrowException
     except ImportError as error:
-        raise TableError(
-            f"{path}: Parquet files need pyarrow, which is not installed; pip install pyarrow, or export it as CSV"
-        ) from error
+        raise _missing(path, "Parquet", "pyarrow", "parquet") from error
     try:
         about = pyarrow.parquet.ParquetFile(path).metadata
         if about.num_columns > MOST_COLUMNS:
@@ -219,11 +173,7 @@ def _open_mat(path: Path) -> DataTable:
     for name, value in found.items():
         if not name.startswith("__"):
             columns.update(_mat_columns(name, value))
-    lengths = [len(values) for values in columns.values()]
-    rows = max(lengths, default=0)
-    if rows < 2:
-        raise TableError(f"{path}: holds no column of numbers; save the measured vectors by their names")
-    return _ArrayTable(path, {name: values for name, values in columns.items() if len(values) == rows})
+    return _whole(path, columns)
 
 
 def _mat_columns(name: str, value: Any) -> dict[str, NDArray[Any]]:
@@ -240,3 +190,66 @@ def _mat_columns(name: str, value: Any) -> dict[str, NDArray[Any]]:
         across = values if values.shape[0] >= values.shape[1] else values.T
         return {f"{name}[{number + 1}]": across[:, number] for number in range(across.shape[1])}
     return {}
+
+
+# --- spreadsheets and TDMS ---
+
+
+def _open_sheet(path: Path) -> DataTable:
+    """The first sheet with a table. Its dates are days since 1899, as it has them: read with the unit d."""
+    try:
+        import openpyxl
+    except ImportError as error:
+        raise _missing(path, "Excel", "openpyxl", "tables") from error
+    trouble: TableError | None = None
+    try:
+        with zipfile.ZipFile(path) as parts:
+            check_expanded(path, sum(part.file_size for part in parts.infolist()), TableError)
+        book = openpyxl.load_workbook(path, read_only=True, data_only=True)
+        book._date_formats = set()  # openpyxl rounds dates to milliseconds
+        for sheet in book.worksheets:
+            lines = ["\t".join(map(_sheet_cell, row)) for row in sheet.iter_rows(values_only=True)]
+            try:
+                return TextTable(path, lines)
+            except TableError as error:
+                trouble = trouble or error
+    except ValveError:
+        raise
+    except Exception as error:  # the library raises what it stumbles over
+        raise TableError(
+            f"{path}: is not an Excel file ({' '.join(str(error).split())[:120]}); save it again"
+        ) from error
+    raise trouble or TableError(f"{path}: has no sheet; save it again")
+
+
+def _sheet_cell(value: object) -> str:
+    return "" if value is None else " ".join(str(value).split())
+
+
+def _open_tdms(path: Path) -> DataTable:
+    """Channels by their names, with their group where that tells them apart; time from the increment of a waveform."""
+    try:
+        import nptdms
+    except ImportError as error:
+        raise _missing(path, "TDMS", "nptdms", "tables") from error
+    try:
+        about = nptdms.TdmsFile.read_metadata(path)
+        channels = [channel for group in about.groups() for channel in group.channels()]
+        check_expanded(path, 8.0 * sum(len(channel) for channel in channels), TableError)
+        file = nptdms.TdmsFile.read(path)
+        once = {channel.name for channel in channels if sum(own.name == channel.name for own in channels) == 1}
+        columns: dict[str, NDArray[Any]] = {}
+        units: dict[str, str] = {}
+        for channel in (channel for group in file.groups() for channel in group.channels()):
+            name = channel.name if channel.name in once else f"{channel.group_name}/{channel.name}"
+            columns[name] = np.asarray(channel[:])
+            if unit := channel.properties.get("unit_string") or channel.properties.get("NI_UnitDescription"):
+                units[name] = str(unit)
+            if "time" not in once and float(channel.properties.get("wf_increment", 0.0)) > 0.0:
+                columns.setdefault("time", np.asarray(channel.time_track()))
+                units["time"] = "s"
+    except ValveError:
+        raise
+    except Exception as error:  # the library raises what it stumbles over
+        raise TableError(f"{path}: is not a TDMS file ({' '.join(str(error).split())[:120]}); save it again") from error
+    return _whole(path, columns, units)

@@ -95,10 +95,16 @@ class Source:
 
 @dataclass(frozen=True)
 class TimeAxis:
-    """The times of a table's rows: from a column, in units of so many s, or by a known rate (Hz)."""
+    """The times of a table's rows.
 
-    column: str = ""
-    unit: float = 1.0
+    Attributes:
+        columns: which hold them: one, or two that are added or read together. units: of each, s; of one that is
+            missing, as its name says. form: of dates, as `datetime.strptime` has it. rate: Hz, in place of columns.
+    """
+
+    columns: tuple[str, ...] = ()
+    units: tuple[float, ...] = ()
+    form: str = ""
     rate: float = 0.0
 
 
@@ -195,21 +201,35 @@ def time_axis(reader: Entries, found: object) -> TimeAxis:
     Raises:
         MapError: It has neither a column nor a rate, or both; or its unit is none of time.
     """
-    if isinstance(found, str | int) and not isinstance(found, bool):
+    if isinstance(found, str | int | list) and not isinstance(found, bool):
         found = {"column": found}
     entry = reader.mapping("time", found, "{column: t, unit: s} or {rate: 1000}")
-    reader.check_keys("time", entry, ["column", "unit", "rate"])
-    unit = reader.unit("time.unit", entry.get("unit", "s"))
-    if unit.dimension != UNITS["time"]["s"].dimension:
-        raise reader.fail("time.unit", f"found {entry['unit']!r}, expected one of {', '.join(UNITS['time'])}")
+    reader.check_keys("time", entry, ["column", "unit", "format", "rate"])
     if ("rate" in entry) == ("column" in entry):
         raise reader.fail("time", f"found {short(dict(entry))}, expected either column: or rate:")
-    if "column" in entry:
-        return TimeAxis(reader.text("time.column", entry["column"]), unit.factor)
-    rate = reader.number("time.rate", entry["rate"])
-    if rate <= 0.0:
-        raise reader.fail("time.rate", f"found {rate:g}, expected a number of rows a second above 0")
-    return TimeAxis(rate=rate)
+    if "rate" in entry:
+        rate = reader.number("time.rate", entry["rate"])
+        if rate <= 0.0:
+            raise reader.fail("time.rate", f"found {rate:g}, expected a number of rows a second above 0")
+        return TimeAxis(rate=rate)
+    columns, units = (own if isinstance(own, list) else [own] for own in (entry["column"], entry.get("unit", [])))
+    if not 1 <= len(columns) <= 2 or len(units) > len(columns):
+        raise reader.fail("time", f"found {short(dict(entry))}, expected one or two columns and a unit of each")
+    form = reader.text("time.format", entry.get("format", ""))
+    if form and (units or "%" not in form):
+        raise reader.fail(
+            "time.format", f'found {short(form)}, expected the form of dates, "%d.%m.%Y %H:%M:%S.%f"; no unit'
+        )
+    return TimeAxis(
+        tuple(reader.text("time.column", own) for own in columns), tuple(_time_unit(reader, own) for own in units), form
+    )
+
+
+def _time_unit(reader: Entries, found: object) -> float:
+    unit = reader.unit("time.unit", found)
+    if unit.dimension != UNITS["time"]["s"].dimension:
+        raise reader.fail("time.unit", f"found {found!r}, expected one of {', '.join(UNITS['time'])}")
+    return unit.factor
 
 
 def _absolute(name: object) -> str:

@@ -1,100 +1,184 @@
-"""Small tables that people write by hand or export from a spreadsheet: CSV in, columns of numbers out."""
+"""A table of any kind as columns of numbers by name, and the times of its rows."""
 
 from __future__ import annotations
 
-import math
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.files.bounded import table_text
+from valve_sim.files.cells import DAY, Stamp
+from valve_sim.files.channels import UNITS
+from valve_sim.files.recording_map import TimeAxis
 from valve_sim.model.errors import ValveError
 
 Array = NDArray[np.float64]
 
-_DELIMITERS: Final = (";", "\t", ",")
+MOST_REPEATED: Final = 20
+"""Rows, of which one may have the time of the row before: logged twice, that is. More do not know their time."""
+_EPOCH_DAY: Final = 719_163
+"""The number of 1970-01-01."""
+PARTS: Final = {
+    "ns": re.compile(r"(.*[^a-z])?(ns|nsecs?|nano.*)", re.IGNORECASE),
+    "us": re.compile(r"(.*[^a-z])?([uµ]s|usecs?|micro.*)", re.IGNORECASE),
+    "ms": re.compile(r"(.*[^a-z])?(ms|msecs?|milli.*)", re.IGNORECASE),
+}
+"""How columns with parts of seconds are called."""
 
 
 class TableError(ValveError):
     """A table cannot be used: one line that names the file and the line, what was found and what is expected."""
 
 
-def read_table(path: Path | str, columns: Mapping[str, Sequence[str]], otherwise: str = "") -> dict[str, Array]:
-    """Columns of numbers from a CSV file.
+class RowTimes(NamedTuple):
+    """When the rows of a table were taken.
 
-    Cells are separated by commas, semicolons, tabs or blanks; beside semicolons or tabs, a comma is a decimal point. A
-    first line of names selects the columns and may name others; without it, columns are in the order of `columns`.
-    Empty lines and lines that begin with # are ignored.
-
-    Args:
-        path: the file.
-        columns: the columns to read, each with the names that a header may give it.
-        otherwise: what else would do where the header has none of these names, for the message.
-
-    Returns:
-        by the same keys, (n,) each.
-
-    Raises:
-        TableError: the file cannot be read, a column is missing, or a cell is not a finite number.
+    Attributes:
+        times: (n,) s since `origin`. kept: (n,) which rows to keep: one with the time of the row before goes.
+        origin: s since 1970 where the file says the date, or a multiple of a second. repeated: how many rows go.
     """
-    lines = _content(path, columns)
-    delimiter = next((mark for mark in _DELIMITERS if mark in lines[0][1]), None)
-    rows = [(number, _cells(line, delimiter)) for number, line in lines]
-    places = dict(zip(columns, range(len(columns)), strict=True))
-    if any(number_in(cell) is None for cell in rows[0][1]):
-        places = _places(path, rows.pop(0)[1], columns, otherwise)
-    values = [[_cell(path, number, cells, name, place) for name, place in places.items()] for number, cells in rows]
-    if not values:
-        raise TableError(f"{path}: has no row of numbers; expected columns {', '.join(columns)}")
-    return dict(zip(columns, np.array(values).T.copy(), strict=True))
+
+    times: Array
+    kept: NDArray[np.bool_]
+    origin: float = 0.0
+    repeated: int = 0
 
 
-def _content(path: Path | str, columns: Mapping[str, Sequence[str]]) -> list[tuple[int, str]]:
-    try:
-        text = table_text(Path(path), TableError)
-    except OSError as error:
-        raise TableError(f"{path}: cannot be read ({error.strerror}); expected a CSV file") from error
-    lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), start=1)]
-    lines = [(number, line) for number, line in lines if line and not line.startswith("#")]
-    if not lines:
-        raise TableError(f"{path}: is empty; expected columns {', '.join(columns)}")
-    return lines
+class DataTable:
+    """Columns of numbers by name; a column is read when it is asked for.
+
+    Attributes:
+        path: the file, for messages. names: of the columns, in the file's order.
+        units: column to unit, where the file says one. others: what else its head calls a column, and its place.
+        findings: what of the file was left out, a line each.
+    """
+
+    def __init__(
+        self, path: Path, names: Sequence[str], units: Mapping[str, str], others: Mapping[str, int] | None = None
+    ) -> None:
+        self.path, self.names, self.units = path, tuple(names), dict(units)
+        self.others = {name: place for name, place in (others or {}).items() if name not in self.names}
+        self.findings: tuple[str, ...] = ()
+
+    def has(self, name: str) -> bool:
+        """Whether there is a column of this name or number, from 1 on."""
+        is_counted = name.isdigit() and 1 <= int(name) <= len(self.names)
+        return name in self.names or name in self.others or is_counted
+
+    def column(self, name: str) -> Array:
+        """The numbers of a column, (n,), NaN where a cell is empty; `name` may be its number, from 1 on.
+
+        Raises:
+            TableError: there is no such column, or one of its cells is not a number.
+        """
+        return self._numbers(self._place(name))
+
+    def _place(self, name: str) -> int:
+        if not self.has(name):
+            raise TableError(f"{self.path}: has no column {name}; it has {', '.join(self.names)}; name one of these")
+        if name in self.names:
+            return self.names.index(name)
+        if name in self.others:
+            return self.others[name]
+        counted, named = self.names[int(name) - 1], f"channel {name}"
+        if named in self.names and named != counted:
+            raise TableError(
+                f"{self.path}: column {name} is ambiguous, for the file calls column {self.names.index(named) + 1} so; "
+                f"write column: {named}, or column: {counted}"
+            )
+        return int(name) - 1
+
+    @property
+    def rows(self) -> int:
+        """How many rows there are."""
+        raise NotImplementedError
+
+    def place(self, row: int) -> str:
+        """Where a row (from 0 on) is in the file, for messages."""
+        return f"row {row + 1}"
+
+    def row_times(self, axis: TimeAxis) -> RowTimes:
+        """When each row was taken.
+
+        Raises:
+            TableError: a cell holds no time, time runs backwards, or many rows share one time.
+        """
+        if axis.rate:
+            return RowTimes(np.arange(self.rows) / axis.rate, np.ones(self.rows, dtype=bool))
+        where = f"column{'s' if len(axis.columns) > 1 else ''} {' and '.join(axis.columns)}"
+        places = [self._place(name) for name in axis.columns]
+        times, origin = self._seconds(places, axis) if self._are_stamps(places, axis) else self._sum(places, axis)
+        finite = np.isfinite(times)
+        if not finite.all():
+            raise TableError(
+                f"{self.path}: {self.place(int(np.argmin(finite)))}: {where} holds no time; take the row out"
+            )
+        steps = np.diff(times)
+        if (steps < 0).any():
+            row = int(np.argmax(steps < 0)) + 1
+            raise TableError(
+                f"{self.path}: {self.place(row)}: time {where} runs backwards, {times[row]:.9g} s after "
+                f"{times[row - 1]:.9g} s; sort the rows, cut the file where the logger began anew, or name another "
+                "column"
+            )
+        kept = np.concatenate([[True], steps > 0])
+        repeated = int((~kept).sum())
+        if repeated > len(times) // MOST_REPEATED:
+            raise TableError(
+                f"{self.path}: {where}: {repeated} of {len(times)} rows have the time of the row before; "
+                "write the time with more digits, name the column of its fractions too, as in "
+                "time: {column: [sec, nanosec]}, or give time: {rate: ...} (rows a second)"
+            )
+        return RowTimes(times, kept, origin, repeated)
+
+    def _sum(self, places: Sequence[int], axis: TimeAxis) -> tuple[Array, float]:
+        """Times of columns of numbers; the first of two goes into the origin, or its whole digits would cost others."""
+        units = [self._unit(axis, number, self.names[place]) for number, place in enumerate(places)]
+        parts = [self._numbers(place) for place in places]
+        if len(parts) == 1:
+            return units[0] * parts[0], 0.0
+        origin = float(parts[0][0])
+        return units[0] * (parts[0] - origin) + units[1] * parts[1], units[0] * origin
+
+    def _unit(self, axis: TimeAxis, number: int, name: str) -> float:
+        """The unit of a time column, s: as the map says, else s, and of a second one as its name says."""
+        if number < len(axis.units):
+            return axis.units[number]
+        if number == 0:
+            return 1.0
+        for unit, words in PARTS.items():
+            if words.fullmatch(name):
+                return UNITS["time"][unit].factor
+        raise TableError(
+            f"{self.path}: column {name}: its name does not say which part of a second it counts; add to the map "
+            "time: {column: [..., ...], unit: [s, ns]}"
+        )
+
+    def _are_stamps(self, places: Sequence[int], axis: TimeAxis) -> bool:
+        """Whether columns hold dates or times of day."""
+        return False
+
+    def _seconds(self, places: Sequence[int], axis: TimeAxis) -> tuple[Array, float]:
+        """Times of such columns: (n,) s, and since when."""
+        raise NotImplementedError
+
+    def _numbers(self, place: int) -> Array:
+        raise NotImplementedError
 
 
-def _cells(line: str, delimiter: str | None) -> list[str]:
-    cells = [cell.strip().strip('"') for cell in line.split(delimiter)]
-    return cells if delimiter in (",", None) else [cell.replace(",", ".") for cell in cells]
+def since_the_first_day(stamps: Sequence[Stamp]) -> tuple[Array, float]:
+    """(n,) s since midnight before the first stamp, and when that was, s since 1970; 0 where nothing says the day.
 
-
-def _places(
-    path: Path | str, header: Sequence[str], columns: Mapping[str, Sequence[str]], otherwise: str
-) -> dict[str, int]:
-    found = [name.lower() for name in header]
-    places = {}
-    for column, names in columns.items():
-        matches = [found.index(name) for name in names if name in found]
-        if not matches:
-            expected = ", ".join(filter(None, (" or ".join(names), otherwise)))
-            raise TableError(f"{path}: has the columns {', '.join(header)}; expected one named {expected}")
-        places[column] = matches[0]
-    return places
-
-
-def _cell(path: Path | str, line: int, cells: Sequence[str], name: str, place: int) -> float:
-    if place >= len(cells):
-        raise TableError(f"{path}: line {line}: has {len(cells)} cells, expected {name} in cell {place + 1}")
-    value = number_in(cells[place])
-    if value is None or not math.isfinite(value):
-        raise TableError(f"{path}: line {line}: {name}: found {cells[place]!r}, expected a finite number")
-    return value
-
-
-def number_in(cell: str) -> float | None:
-    """The number that a cell holds; None where it holds none."""
-    try:
-        return float(cell)
-    except ValueError:
-        return None
+    Without days, each time that they begin anew a period is over.
+    """
+    if not stamps:
+        return np.empty(0), 0.0
+    first = stamps[0].day
+    seconds = np.array([DAY * (stamp.day - first) + stamp.seconds for stamp in stamps])
+    if not first:
+        period = stamps[0].period
+        seconds[1:] += period * np.cumsum(np.diff(seconds) < -0.5 * period)
+    return seconds, DAY * (first - _EPOCH_DAY) if first else 0.0

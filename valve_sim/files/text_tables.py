@@ -1,4 +1,4 @@
-"""Text files of data loggers as columns of cells: preamble, names, units, separators, decimal commas, dates."""
+"""Text files of data loggers: preamble, names, units, separators, decimal commas, dates."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import csv
 import functools
 import io
 import re
-from collections.abc import Sequence
-from datetime import date
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -15,33 +15,39 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.files.bounded import table_text
+from valve_sim.files.cells import kind_of, number_in, stamp_in
 from valve_sim.files.channels import UNITS
-from valve_sim.files.tables import TableError
+from valve_sim.files.recording_map import TimeAxis
+from valve_sim.files.tables import DataTable, TableError, since_the_first_day
 
 Array = NDArray[np.float64]
+Rows = Sequence[Sequence[str]]
 
 MOST_COLUMNS: Final = 4096
 """Cells of a line; more is no table of a data logger."""
-_DELIMITERS: Final = (";", "\t", ",", None)
+DELIMITERS: Final = (";", "\t", "|", ",", None)
 _COMMENTS: Final = ("#", "%", "//", "!")
 _LONGEST_PREAMBLE: Final = 500
 _LARGEST_PREAMBLE: Final = 500_000
 """Lines, and characters, that are searched for the first numbers."""
-_HEADS: Final = 4
-"""Lines with names, units and the like, at most, before the numbers."""
+_HEADS: Final = 40
+"""Lines before the numbers that are searched for names and units."""
+_NAMED: Final = 0.5
+"""Share of the columns that the line with their names names, at least."""
+_JOINED: Final = 4
+"""Lines over which a name in quotes may go."""
 _WHOLE: Final = 3
 """So many rows whose columns are of the same kinds begin the data."""
 _WHOLE_WITH_WORDS: Final = 8
 """And so many where some columns hold words: a preamble has such lines, too."""
+_GOES_ON: Final = 0.01
+"""Share of its step by which a column may miss the next one, where it goes on in equal steps."""
+_MOST_TRAILING: Final = 20
+"""Lines without numbers behind the data that are left out: a summary, or a cut last row."""
 _UNIT_WORDS: Final = frozenset(
     {unit for units in UNITS.values() for unit in units}
     | {"volt", "volts", "second", "seconds", "sec", "ampere", "amp", "amps", "ohm", "Ω", "N", "Hz", "%", "-"}
 )
-_SWITCHED: Final = {"true": 1.0, "false": 0.0, "on": 1.0, "off": 0.0}
-_MISSING: Final = ("", "-", "--", "---", "#n/a", "#nv", "n/a", "na", "null", "none", "#num!", "#div/0!", "#value!")
-_DATE: Final = re.compile(r"(\d{4})[-/](\d\d?)[-/](\d\d?)|(\d\d?)\.(\d\d?)\.(\d{4})")
-_TIME: Final = re.compile(r"(\d\d?):(\d\d)(?::(\d\d(?:[.,]\d+)?))?\s*(?:Z|[+-]\d\d:?\d\d)?")
-_DAY: Final = 86_400
 
 
 class Layout(NamedTuple):
@@ -49,113 +55,124 @@ class Layout(NamedTuple):
 
     Attributes:
         delimiter: None: blanks. first: line of the first numbers. names: of the columns. units: by name, as far as
-            the file says them.
+            the file says them. others: what other lines of the head call a column, and its place.
+        skipped: what to say of a line before the data that is half of numbers.
     """
 
     delimiter: str | None
     first: int
     names: tuple[str, ...]
-    units: dict[str, str]
+    units: Mapping[str, str]
+    others: Mapping[str, int]
+    skipped: str = ""
 
 
-class TextFile:
+class TextTable(DataTable):
     """A text file: rows of numbers after a preamble of any kind.
 
-    Cells are parted by semicolons, tabs, commas or blanks; a comma within a cell is a decimal point. A cell may also be
-    a date, a time of day, TRUE or FALSE, the sign of infinity, or say that there is no number.
+    Cells are parted by semicolons, tabs, bars, commas or blanks; a comma within a cell is a decimal point. A cell may
+    also be a date, a time of day, TRUE or FALSE, beyond the range (∞), or say that there is no number.
 
     Raises:
         TableError: there is no table of numbers in it, or it is larger than any.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.lines = table_text(path, TableError).splitlines()
-        self.layout = _layout(path, self.lines)
+    def __init__(self, path: Path, lines: Sequence[str] | None = None) -> None:
+        if lines is None:
+            lines = table_text(path, TableError).replace("\r\n", "\n").replace("\r", "\n").split("\n")
+        self._lines = _joined(lines)
+        self._layout = _layout(path, self._lines)
+        super().__init__(path, self._layout.names, self._layout.units, self._layout.others)
+        self.findings = (self._layout.skipped,) if self._layout.skipped else ()
+        self._stop = self._end()
 
-    def column(self, place: int) -> Array:
-        """The numbers of a column, (n,), NaN where a cell is empty; dates are s since midnight before the first one.
+    @property
+    def rows(self) -> int:
+        """How many rows there are."""
+        return len(self._rows)
 
-        Raises:
-            TableError: one of its cells is not a number.
-        """
-        delimiter = self.layout.delimiter
-        text = "\n".join(self.lines[self.layout.first :])
+    def place(self, row: int) -> str:
+        """The file's own line number."""
+        return f"line {self._rows[row] + 1}"
+
+    @functools.cached_property
+    def _rows(self) -> list[int]:
+        """The numbers of the lines that are rows, from 0 on."""
+        return [number for number in range(self._layout.first, self._stop) if self._lines[number].strip()]
+
+    def _end(self) -> int:
+        """Where the rows end: lines without any number, or a row that was cut, are left out behind them."""
+        stop = len(self._lines)
+        while stop > self._layout.first and not self._lines[stop - 1].strip():
+            stop -= 1
+        whole, words = stop, ""
+        while stop > self._layout.first + 1 and whole - stop < _MOST_TRAILING:
+            cells, before = (cells_of(self._lines[stop - own], self._layout.delimiter) for own in (1, 2))
+            is_cut = stop == whole and len(cells) < len(before)
+            if not is_cut and {kind_of(cell) for cell in cells} & {"number", "date"}:
+                break
+            words = words or " ".join(self._lines[stop - 1].split())[:40]
+            stop -= 1
+        if stop < whole:
+            lines = f"line {whole}" if stop == whole - 1 else f"lines {stop + 1} to {whole}"
+            self.findings += (f"{lines} behind the numbers left out: {words!r}",)
+        return stop
+
+    def _numbers(self, place: int) -> Array:
+        """The numbers of a column; of dates, s since midnight before the first one."""
+        lines, delimiter = self._lines[self._layout.first : self._stop], self._layout.delimiter
+        text = "\n".join(lines)
         if delimiter != ",":
             text = text.replace(",", ".")
         try:
             found = np.loadtxt(
-                io.StringIO(text), delimiter=delimiter, usecols=place, comments=None, ndmin=1, dtype=np.float64
-            )
+                io.StringIO(text), delimiter=delimiter, usecols=place, comments=None, quotechar='"', ndmin=1,
+                dtype=np.float64,
+            )  # fmt: skip
         except ValueError:
-            return self._cell_by_cell(place)
-        return np.asarray(found)
+            found = np.empty(0)
+        # A quote that is not closed makes one cell of many lines.
+        return found if len(found) == self.rows else self._cell_by_cell(place)
 
     def _cell_by_cell(self, place: int) -> Array:
         """The same, slowly, where not all cells are plain numbers; a cell that is none is named with its line."""
-        values, first_day = [], None
-        for number, row in self.rows:
-            cell = row[place] if place < len(row) else None
-            value = None if cell is None else number_in(cell)
-            if value is None and cell and (stamp := _date_in(cell)):
-                first_day = stamp[0] if first_day is None else first_day
-                value = _DAY * (stamp[0] - first_day) + stamp[1]
-            if value is None:
-                found = "nothing" if cell is None else repr(cell[:40])
-                raise TableError(
-                    f"{self.path}: line {number + 1}: column {self.layout.names[place]}: found {found}, expected a "
-                    "number; correct the line or take it out"
-                )
-            values.append(value)
-        return np.array(values, dtype=np.float64)
+        cells = self._cells(place)
+        values = [None if cell is None else number_in(cell) for cell in cells]
+        if None not in values:
+            return np.array(values, dtype=np.float64)
+        stamps = [stamp_in(cell) if cell else None for cell in cells]
+        if None not in stamps:
+            return since_the_first_day([stamp for stamp in stamps if stamp])[0]
+        row = (stamps if stamps[0] else values).index(None)
+        raise self._is_none(place, row, "number")
 
-    @functools.cached_property
-    def rows(self) -> list[tuple[int, list[str]]]:
-        """Number of each line that is not empty, from 0 on, and its cells."""
-        return [
-            (number, cells_of(line, self.layout.delimiter))
-            for number, line in enumerate(self.lines)
-            if number >= self.layout.first and line.strip()
-        ]
+    def _is_none(self, place: int, row: int, expected: str) -> TableError:
+        cell = self._cells(place)[row]
+        found = "nothing" if cell is None else repr(cell[:40])
+        return TableError(
+            f"{self.path}: {self.place(row)}: column {self.names[place]}: found {found}, expected a {expected}; "
+            "correct the line or take it out"
+        )
 
-    def line_of(self, row: int) -> int:
-        """The number of a row's line, from 1 on."""
-        return self.rows[row][0] + 1
+    def _cells(self, place: int) -> list[str | None]:
+        """The cells of a column; None where a line ends before it."""
+        rows = (cells_of(self._lines[number], self._layout.delimiter) for number in self._rows)
+        return [row[place] if place < len(row) else None for row in rows]
 
+    def _are_stamps(self, places: Sequence[int], axis: TimeAxis) -> bool:
+        row = cells_of(self._lines[self._rows[0]], self._layout.delimiter) if self._rows else []
+        return bool(axis.form) or any(kind_of(row[place]) == "date" for place in places if place < len(row))
 
-def number_in(cell: str) -> float | None:
-    """The number that a cell holds, NaN where it says that there is none; None where it holds something else."""
-    text = cell.strip()
-    try:
-        if "_" not in text:  # which Python takes for a digit's neighbour
-            return float(text.replace(",", ".", 1))
-    except ValueError:
-        pass
-    word = text.lower()
-    if word in _MISSING:
-        return np.nan
-    if word.lstrip("+-") == "∞":
-        return -np.inf if word.startswith("-") else np.inf
-    return _SWITCHED.get(word)
-
-
-def _date_in(cell: str) -> tuple[int, float] | None:
-    """A date and a time of day, or one of them, as day (0: no date) and seconds; None where it is neither."""
-    day, clock = re.split(r"[T ]", cell, maxsplit=1) if re.search(r"\d[T ]\d", cell) else (cell, "")
-    dated, timed = _DATE.fullmatch(day), _TIME.fullmatch(clock or day)
-    if (dated is None and clock) or (timed is None and (clock or dated is None)):
-        return None
-    number, seconds = 0, 0.0
-    if dated is not None:
-        year, month, own, *german = dated.groups()
-        try:
-            number = date(*(int(part) for part in ((year, month, own) if year else german[::-1]))).toordinal()
-        except ValueError:
-            return None
-    if timed is not None:
-        hours, minutes, rest = timed.groups()
-        seconds = 3600.0 * int(hours) + 60.0 * int(minutes) + float((rest or "0").replace(",", "."))
-    return number, seconds
+    def _seconds(self, places: Sequence[int], axis: TimeAxis) -> tuple[Array, float]:
+        columns = [self._cells(place) for place in places]
+        stamps = []
+        for row, cells in enumerate(zip(*columns, strict=True)):
+            stamp = None if None in cells else stamp_in(" ".join(cell for cell in cells if cell), axis.form)
+            if stamp is None:
+                form = f"time as {axis.form}" if axis.form else "date or a time of day, or its form in time: format:"
+                raise self._is_none(places[0], row, form)
+            stamps.append(stamp)
+        return since_the_first_day(stamps)
 
 
 def cells_of(line: str, delimiter: str | None) -> list[str]:
@@ -168,28 +185,37 @@ def cells_of(line: str, delimiter: str | None) -> list[str]:
         return [line]
 
 
-def _kind(cell: str) -> str:
-    """number, date, word; empty where a cell is."""
-    value = number_in(cell)
-    if value is None:
-        return "date" if _date_in(cell) else "word"
-    return "" if np.isnan(value) else "number"
+def _joined(lines: Sequence[str]) -> list[str]:
+    """The lines; names in quotes that go over several are on the first, and leave empty lines."""
+    found = list(lines)
+    for first in range(min(len(found), _LONGEST_PREAMBLE)):
+        if not re.search(r'(?:^|[;,\t|])\s*"[^"]*$', found[first]):
+            continue
+        for last in range(first + 1, min(len(found), first + _JOINED)):
+            if found[last].count('"') % 2:
+                found[first : last + 1] = [" ".join(found[first : last + 1]), *[""] * (last - first)]
+                break
+    return found
 
 
 def _layout(path: Path, lines: Sequence[str]) -> Layout:
     ends = np.cumsum([len(line) for line in lines[: _LONGEST_PREAMBLE + _WHOLE_WITH_WORDS]])
     head = lines[: max(_WHOLE_WITH_WORDS, int(np.searchsorted(ends, _LARGEST_PREAMBLE)))]
-    parted = {delimiter: [_checked(path, cells_of(line, delimiter)) for line in head] for delimiter in _DELIMITERS}
+    parted = {delimiter: [_checked(path, cells_of(line, delimiter)) for line in head] for delimiter in DELIMITERS}
     for with_words in (False, True):
         for delimiter, rows in parted.items():
             start = _first_row(head, rows, with_words=with_words)
             if start is not None:
-                return _named(lines[:start], delimiter, start, rows[start : start + _WHOLE_WITH_WORDS])
+                return _named(head, delimiter, rows, start)
+    for delimiter, rows in parted.items():  # few rows, one of which is broken
+        for start, row in enumerate(rows):
+            if len(row) > 1 and {kind_of(cell) for cell in row} == {"number"}:
+                return _named(head, delimiter, rows, start)
     if not any(line.strip() for line in lines):
         raise TableError(f"{path}: is empty; export the measurement again")
     raise TableError(
         f"{path}: no table of numbers in its first {min(len(lines), _LONGEST_PREAMBLE)} lines; "
-        "expected rows of at least two numbers, parted by ; , tabs or blanks"
+        "expected rows of at least two numbers, parted by ; , tabs, bars or blanks"
     )
 
 
@@ -201,10 +227,12 @@ def _checked(path: Path, cells: list[str]) -> list[str]:
     return cells
 
 
-def _first_row(lines: Sequence[str], rows: Sequence[Sequence[str]], *, with_words: bool) -> int | None:
+def _first_row(lines: Sequence[str], rows: Rows, *, with_words: bool) -> int | None:
     """Where rows begin whose columns are of the same kinds, at least two of them numbers or dates."""
     filled = [n for n, line in enumerate(lines) if line.strip()]
-    kinds = {n: ["comment"] if lines[n].lstrip().startswith(_COMMENTS) else [_kind(c) for c in rows[n]] for n in filled}
+    kinds = {
+        n: ["comment"] if lines[n].lstrip().startswith(_COMMENTS) else [kind_of(c) for c in rows[n]] for n in filled
+    }
     for at, start in enumerate(filled):
         if start >= _LONGEST_PREAMBLE or len(kinds[start]) < 2:
             continue
@@ -218,44 +246,112 @@ def _first_row(lines: Sequence[str], rows: Sequence[Sequence[str]], *, with_word
     return None
 
 
-def _named(lines: Sequence[str], delimiter: str | None, start: int, data: Sequence[Sequence[str]]) -> Layout:
-    """The layout with names and units from the lines before the numbers."""
+def _named(lines: Sequence[str], delimiter: str | None, rows: Rows, start: int) -> Layout:
+    """The layout, with names and units from the lines before the numbers."""
+    data = [row for row in rows[start : start + _WHOLE_WITH_WORDS] if len(row) == len(rows[start])]
+    start, first = _begin(lines, rows, start, data)
     width = len(data[0])
-    widths = (width, width - 1) if not any(row[-1] for row in data if row) else (width,)
-    rows: list[list[str]] = []
-    for line in reversed(lines):
-        text = line.rstrip()
-        for mark in _COMMENTS:
-            text = text.removeprefix(mark)
-        cells = cells_of(text if delimiter == "\t" else text.strip(), delimiter)
-        is_head = len(cells) in widths or (len(cells) == width + 1 and not cells[-1])
-        if rows and (not is_head or len(rows) == _HEADS):
-            break
-        if is_head and any(cells):
-            rows.append((cells + [""] * width)[:width])
-    ends_empty = all(not row[-1] for row in (*data, *rows) if len(row) == width)
-    width -= ends_empty  # each line ends with a separator
-    if not rows:
-        return Layout(delimiter, start, tuple(str(number + 1) for number in range(width)), {})
-    units = next((n for n in range(len(rows) - 1) if _are_units(rows[n])), None)
-    names = _unique(rows[0 if units is None else units + 1][:width])
-    found = {} if units is None else {name: _bare(cell) for name, cell in zip(names, rows[units], strict=False)}
+    head = _head(lines[:first], delimiter, width)
+    filled = [place for place in range(width) if any(place < len(row) and row[place] for row in (*data, *head))]
+    if filled and filled[-1] < width - 1:
+        width -= 1  # each line ends with a separator
+    numbers = [place for place in range(width) if any(place < len(row) and row[place] for row in data)]
+    are_units = [row for row in head if _are_units(row)]
+    if not any(_named_by(row, numbers) >= _NAMED for row in head if row not in are_units):
+        are_units = []  # volt, sec: they are the names
+    units = max(are_units, key=lambda row: len(set(row)), default=None)
+    above = None if units is None else next((row for row in head[head.index(units) + 1 :]), None)
+    scores = [
+        (_named_by(row, numbers) + 0.5 * (row is above) - 0.01 * place, row)
+        for place, row in enumerate(head)
+        if row not in are_units and _named_by(row, numbers) >= _NAMED
+    ]
+    if not scores:
+        # Without names nobody knows whether rows that are half of numbers are of the data.
+        skipped = f"line {first + 1} before the numbers left out: {lines[first][:40]!r}" if first < start else ""
+        return Layout(delimiter, start, tuple(str(number + 1) for number in range(width)), {}, {}, skipped)
+    chosen = max(scores, key=lambda score: score[0])[1]
+    names = _unique(chosen[:width])
+    found = {} if units is None else {name: _bare(cell) for name, cell in zip(names, units, strict=False)}
     for name in names:
         inside = re.search(r"[\[(]([^\])]+)[\])]\s*$", name)
         if inside:
             found.setdefault(name, inside[1].strip())
-    return Layout(delimiter, start, tuple(names), {name: unit for name, unit in found.items() if unit})
+    words = Counter(cell for _, row in scores for cell in set(row) if cell)
+    others = {
+        cell: place
+        for _, row in scores
+        for place, cell in enumerate(row[:width])
+        if words[cell] == 1 == row.count(cell) and kind_of(cell) == "word"
+    }
+    return Layout(delimiter, first, tuple(names), {name: unit for name, unit in found.items() if unit}, others)
+
+
+def _begin(lines: Sequence[str], rows: Rows, start: int, data: Rows) -> tuple[int, int]:
+    """Where the data begin: with rows that share their line with the preamble, and with such as are broken, too."""
+    kinds = [{kind_of(row[place]) for row in data} - {""} for place in range(len(data[0]))]
+    known = [place for place, own in enumerate(kinds) if own and own <= {"number", "date"}]
+    following = data[0], data[min(1, len(data) - 1)]
+    whole = begin = start
+    for number in range(start - 1, -1, -1):
+        row = rows[number]
+        if not lines[number].strip() or lines[number].lstrip().startswith(_COMMENTS) or len(row) != len(data[0]):
+            break
+        alike = [place for place in known if kind_of(row[place]) in kinds[place]]
+        beside = any(row[place] for place, own in enumerate(kinds) if not own)
+        is_whole = (len(alike) == len(known) and not beside) or _goes_on(row, following, known)
+        is_named = all(row[place].isdigit() for place in alike)  # Columns may be called 1, 2, 3.
+        if not (is_whole or (2 * len(alike) >= len(known) and not beside and not is_named)):
+            break
+        following, begin = (row, following[0]), number
+        whole = number if is_whole and whole == number + 1 else whole
+    return whole, begin
+
+
+def _goes_on(row: Sequence[str], following: tuple[Sequence[str], Sequence[str]], places: Sequence[int]) -> bool:
+    """Whether a column goes on from a row in the equal steps of those that follow."""
+    for place in places:
+        values = [number_in(cells[place]) for cells in (row, *following)]
+        if None not in values:
+            first, second, third = (float(value) for value in values if value is not None)
+            step = third - second
+            if step and abs(second - first - step) < _GOES_ON * abs(step):
+                return True
+    return False
+
+
+def _head(lines: Sequence[str], delimiter: str | None, width: int) -> list[list[str]]:
+    """The cells of the lines before the data that may name them, the nearest first."""
+    found: list[list[str]] = []
+    for line in reversed(lines[-_HEADS:]):
+        text = line.rstrip("\r\n ")
+        for mark in _COMMENTS:
+            text = text.removeprefix(mark)
+        cells = cells_of(text if delimiter == "\t" else text.strip(), delimiter)
+        while len(cells) > width and not cells[-1]:
+            cells.pop()
+        if 2 <= len(cells) <= width and any(cells):
+            found.append((cells + [""] * width)[:width])
+    return found
+
+
+def _named_by(row: Sequence[str], places: Sequence[int]) -> float:
+    """Which share of the columns a line names, by different words, or by small numbers."""
+    cells = {row[place] for place in places}
+    words = sum(kind_of(cell) == "word" for cell in cells)
+    counted = sum(cell.isdigit() and len(cell) < 4 for cell in cells)
+    return (words + 0.6 * counted) / max(1, len(places))
 
 
 def _are_units(cells: Sequence[str]) -> bool:
     """Whether all words of a line are units, or at least two and the half of them."""
-    words = [_bare(cell) for cell in cells if _kind(cell) == "word"]
+    words = [_bare(cell) for cell in cells if kind_of(cell) == "word"]
     known = sum(word in _UNIT_WORDS or word.lower() in _UNIT_WORDS for word in words)
     return known > 0 and (known == len(words) or (known > 1 and 2 * known >= len(words)))
 
 
 def _bare(cell: str) -> str:
-    return "" if _kind(cell) != "word" else cell.strip().strip("[]()").strip()
+    return "" if kind_of(cell) != "word" else cell.strip().strip("[]()").strip()
 
 
 def _unique(names: Sequence[str]) -> list[str]:

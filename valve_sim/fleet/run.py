@@ -11,6 +11,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import partial
+from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeVar
 
@@ -226,24 +227,33 @@ def _connected(stack: ExitStack, scheduler: str | None, workers: int | None) -> 
     from valve_sim.warm import warm
 
     warm()  # once, not in each worker
-    with _interrupts_ignored():
+    with _interrupts_left_to_this_process():
         cluster = LocalCluster(
             n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs="CRITICAL",
             # What Dask serves by HTTP, without a dashboard too: for this machine, and not where another run does.
             scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
         )  # fmt: skip
-    stack.enter_context(cluster)
+        stack.enter_context(cluster)
     return stack.enter_context(Client(cluster, set_as_default=False))
 
 
 @contextmanager
-def _interrupts_ignored() -> Iterator[None]:
-    """Processes that start here leave Ctrl-C to this one, which ends them."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+def _interrupts_left_to_this_process() -> Iterator[None]:
+    """Processes that start here, and those that replace them, leave Ctrl-C to this one, which ends them.
+
+    They inherit that it is blocked. One that comes meanwhile is not lost: it counts once they have started.
+    """
+    resource_tracker.ensure_running()  # what starts it would unblock Ctrl-C
+    is_main = threading.current_thread() is threading.main_thread()
+    came: list[int] = []
+    # Another thread of this process may take what is blocked in this one; its handler is called here all the same.
+    handler = signal.signal(signal.SIGINT, lambda number, frame: came.append(number)) if is_main else None
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        if is_main:
+            signal.signal(signal.SIGINT, handler)
+    if came:
+        signal.raise_signal(signal.SIGINT)

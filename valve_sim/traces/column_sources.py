@@ -9,9 +9,10 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.files.data_tables import TABLE_SUFFIXES, DataTable, open_table
+from valve_sim.files.data_tables import TABLE_SUFFIXES, open_table
 from valve_sim.files.entries import Entries, short
 from valve_sim.files.recording_map import CLOCKS, Source, time_axis
+from valve_sim.files.tables import DataTable
 from valve_sim.traces.clocks import SECOND
 from valve_sim.traces.storage import Recording, read_recording
 from valve_sim.traces.trace import TraceError
@@ -67,7 +68,7 @@ class TableRows:
 
     def __init__(self, path: Path, table: DataTable, map_reader: Entries, time: object) -> None:
         self._path, self._table, self._map = path, table, map_reader
-        self.findings: list[str] = []
+        self.findings = list(table.findings)
         self._times, self._kept = self._read_times(time)
 
     def series(self, key: str, entry: Mapping[str, Any]) -> Series:
@@ -89,9 +90,9 @@ class TableRows:
         if found is None:
             raise self._map.fail("time", "is missing; add time: {column: t, unit: s} or time: {rate: 1000}")
         axis = time_axis(self._map, found)
-        if axis.column:
-            self._named("time.column", axis.column)
-        times, kept, repeated = self._table.row_times(axis)
+        for column in axis.columns:
+            self._named("time.column", column)
+        times, kept, _, repeated = self._table.row_times(axis)
         if repeated:
             self.findings.append(f"dropped {repeated} rows with the time of the row before")
         if kept.sum() < FEWEST:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -9,10 +10,14 @@ import numpy as np
 import yaml
 
 from valve_sim.files.channels import CHANNELS, SIGNALS, UNITS
-from valve_sim.files.data_tables import MOST_REPEATED, TABLE_SUFFIXES, DataTable, open_table
-from valve_sim.files.tables import TableError
+from valve_sim.files.data_tables import TABLE_SUFFIXES, open_table
+from valve_sim.files.entries import Entries
+from valve_sim.files.recording_map import MapError, TimeAxis, map_from, time_axis
+from valve_sim.files.tables import MOST_REPEATED, PARTS, DataTable, TableError
+from valve_sim.model.errors import ValveError
 from valve_sim.signals.voltage_steps import count_levels
 from valve_sim.traces.map_series import Series, bag_series, table_series
+from valve_sim.traces.reading import read_trace
 from valve_sim.traces.trace import TraceError
 from valve_sim.traces.trouble import MOST_AMPERES
 
@@ -33,7 +38,17 @@ FEW_MESSAGES = 0.2
 """A topic with less than this share of the messages of another is a command: sent when it changes."""
 MOST_LEVELS = 12
 """A voltage rests at so few levels at most."""
+RESTS = 0.8
+"""Share of a position's samples that are at either end, or more."""
 MOST_LISTED = 40
+WHOLE = re.compile(r"date|datum|day|tag|(.*[^a-z])?(s|sec|secs|seconds)", re.IGNORECASE)
+"""Names of a column with days, or whole seconds, whose fractions are in the next one."""
+FORMS = tuple(
+    f"{day} {clock}"
+    for clock in ("%H:%M:%S.%f", "%H:%M:%S:%f", "%H:%M:%S,%f", "%I:%M:%S.%f %p")
+    for day in ("%m/%d/%Y", "%d/%m/%Y", "%d-%b-%Y", "%d %b %Y", "%b %d, %Y", "%Y-%m-%d", "%d.%m.%Y")
+)
+"""Dates that are tried beside ISO and German ones."""
 EXCEL_DAYS = (2e4, 8e4)
 """Days since 1899, of 1954 to 2119: a spreadsheet's dates as numbers."""
 
@@ -75,11 +90,11 @@ def draft_map(path: Path, parameters: ValveParameters, command: str) -> str:
         lines += time
     else:
         series = bag_series(path)
-    moving = [entry for entry in series if entry.span > 0.0]
+    moving = [entry for entry in series if entry.span > 0.0 or _is_one_command(entry)]
     if not moving:
         names = ", ".join(entry.name for entry in series[:12]) or "no number at all"
         raise TraceError(f"{path}: nothing in it moves ({names}); record while the valve works")
-    moving = [entry for entry in moving if not _counts(entry)] or moving
+    moving = [entry for entry in moving if not _counts(entry) or _names(entry, "position")] or moving
     used: set[str] = set()
     for valve, guesses in _valves(moving, parameters).items():
         indent = ""
@@ -90,10 +105,40 @@ def draft_map(path: Path, parameters: ValveParameters, command: str) -> str:
         lines += [f"{indent}# CHECK: {words}" for words in _missing(guesses)]
         used |= {guess.series.name for guess in guesses}
     left = [entry for entry in series if entry.name not in used]
-    lines += [f"# not used: {entry.name}, {entry.low:.6g} to {entry.high:.6g}" for entry in left[:MOST_LISTED]]
+    lines += [f"# not used: {entry.name}, {_range(entry)}" for entry in left[:MOST_LISTED]]
     if len(left) > MOST_LISTED:
         lines.append(f"# and {len(left) - MOST_LISTED} more")
-    return "\n".join(lines) + "\n"
+    text = "\n".join(lines) + "\n"
+    _check(path, text, series)
+    return text
+
+
+def _check(path: Path, text: str, series: Sequence[Series]) -> None:
+    """Refuse a draft that no command could read: a voltage or what the valve does is missing, or is not that."""
+    try:
+        drafted = map_from(yaml.safe_load(text), "the draft")
+        for valve in drafted.valves:
+            read_trace(path, valve, drafted)
+    except ValveError as error:
+        listed = "; ".join(f"{entry.name}: {_range(entry)}" for entry in series[:MOST_LISTED])
+        why = str(error).removeprefix("the draft: ").removeprefix(f"{path}: ").partition(";")[0]
+        raise TraceError(
+            f"{path}: no draft can be read: {why}; write a map by hand, of what there is: {listed}"
+        ) from None
+
+
+def _range(entry: Series) -> str:
+    """What a series reads, and so what it may be."""
+    reads = f"{entry.low:.6g} to {entry.high:.6g}"
+    if _counts(entry) or not entry.span:
+        return f"{reads}, ascends: times or a counter" if entry.span else f"always {entry.low:.6g}"
+    if np.unique(entry.values).size == 2:
+        return f"{reads}, two levels: a switch or a command"
+    if 2 <= count_levels(entry.values) <= MOST_LEVELS and entry.sharpness > 0.5:
+        return f"{reads}, steps between levels: a voltage, or what is switched by it"
+    if entry.rest_share > RESTS:
+        return f"{reads}, rests at either end: a position between stops"
+    return f"{reads}, hardly changes: a temperature or a pressure" if entry.span < 0.1 * abs(entry.low) else reads
 
 
 def _missing(guesses: Sequence[Guess]) -> list[str]:
@@ -128,7 +173,9 @@ def _guesses(series: Sequence[Series], parameters: ValveParameters) -> list[Gues
     voltage = _best(rest, _voltage_score)
     if voltage is not None:
         rest.remove(voltage)
-    position = _best([entry for entry in rest if not _is_voltage(entry)], _position_score)
+    # A laser's voltage is called one, too.
+    others = [entry for entry in rest if not _is_voltage(entry)] or [own for own in rest if own.rest_share > RESTS]
+    position = _best(others, _position_score)
     if position is not None:
         rest.remove(position)
     if voltage is not None:
@@ -212,6 +259,11 @@ def _is_voltage(entry: Series) -> bool:
     return says and re.search(HINTS["position"], entry.words) is None
 
 
+def _is_one_command(entry: Series) -> bool:
+    """Whether it is a voltage that was commanded once, and held."""
+    return len(entry.values) == 1 and entry.high != 0.0 and _is_voltage(entry)
+
+
 def _is_main(entry: Series) -> bool:
     return re.search(r"main", entry.words) is not None
 
@@ -279,38 +331,79 @@ def _other_guess(quantity: str, entry: Series, *, is_named: bool, parameters: Va
 
 def _time_line(table: DataTable) -> tuple[list[str], list[Series]]:
     """The lines about time, and what the other columns hold."""
-    columns = {}
-    for name in table.names:
-        try:
-            columns[name] = table.column(name)
-        except TableError:  # words
-            continue
+    columns = {name: values for name in table.names if (values := _numbers(table, name)) is not None}
+    parts = [(first, second) for first, second in itertools.pairwise(table.names) if _is_part(table, first, second)]
     with np.errstate(invalid="ignore"):  # of readings beyond the range
         steps_of = {name: np.diff(values) for name, values in columns.items() if len(values) > 1}
     dating = {name: steps for name, steps in steps_of.items() if _dates(name, steps)}
     usable = [name for name, steps in dating.items() if np.mean(steps == 0.0) <= 1.0 / MOST_REPEATED]
     named = [name for name in usable if PLAIN.fullmatch(name)]
-    time = next(iter([*named, *usable]), None)
-    series = table_series(table, {name: values for name, values in columns.items() if name != time})
-    if time is None:
+    tried = [_whole_stamp(table, pair) for pair in parts]
+    tried += [_stamp(table, name, columns[name]) for name in (*named, *usable)[:1]]
+    tried += [_dated(table, name) for name in table.names if name not in columns]
+    entry, reason = next((found for found in tried if found), (None, ""))
+    if entry is None:
         coarse = next((name for name in dating if PLAIN.fullmatch(name)), None)
         why = "no column ascends" if coarse is None else f"column {coarse} repeats: it has too few digits"
         raise TraceError(
             f"{table.path}: {why}, and nothing else says when its rows were taken; write a map by hand with "
             "time: {rate: ...} (rows a second), or export the times"
         )
-    step = float(np.median(dating[time][dating[time] > 0.0]))
+    taken = entry["column"] if isinstance(entry["column"], list) else [entry["column"]]
+    series = table_series(table, {name: values for name, values in columns.items() if name not in taken})
+    steps = np.diff(table.row_times(time_axis(Entries("", MapError), entry)).times)
+    rate = 1.0 / float(np.median(steps[steps > 0.0]))
+    return [f"# {rate:.6g} rows a second; {reason}", f"time: {_yaml(entry)}"], series
+
+
+def _numbers(table: DataTable, name: str) -> NDArray[np.float64] | None:
+    try:
+        return table.column(name)
+    except TableError:  # words
+        return None
+
+
+def _is_part(table: DataTable, first: str, second: str) -> bool:
+    """Whether two columns hold one time: a day and a time of day, or seconds and their fractions."""
+    is_fraction = any(part.fullmatch(second) for part in PARTS.values())
+    return (is_fraction or PLAIN.fullmatch(second) is not None) and WHOLE.fullmatch(first) is not None
+
+
+def _whole_stamp(table: DataTable, pair: tuple[str, str]) -> tuple[dict[str, object], str] | None:
+    """The entry of a time in two columns, if it is one."""
+    unit = next((name for name, part in PARTS.items() if part.fullmatch(pair[1])), "")
+    entry: dict[str, object] = {"column": list(pair), **({"unit": ["s", unit]} if unit else {})}
+    try:
+        table.row_times(time_axis(Entries("", MapError), entry))
+    except TableError:
+        return None
+    return entry, "time in two columns"
+
+
+def _stamp(table: DataTable, name: str, values: NDArray[np.float64]) -> tuple[dict[str, object], str]:
+    """The entry of a time in a column of numbers or of dates that are known."""
+    step = float(np.median(np.diff(values)[np.diff(values) > 0.0]))
     units = UNITS["time"]
-    unit, reason = table.units.get(time, ""), "unit as the file says"
+    unit, reason = table.units.get(name, ""), "unit as the file says"
     if unit.lower().startswith("s"):
         unit = "s"
     if unit not in units:
-        is_calendar = EXCEL_DAYS[0] < columns[time][0] < EXCEL_DAYS[1] and step < 1e-4
+        is_calendar = EXCEL_DAYS[0] < values[0] < EXCEL_DAYS[1] and step < 1e-4
         known = ("d",) if is_calendar else ("s", "ms", "us", "ns")
-        unit = next((name for name in known if 2e-7 < units[name].factor * step < 2e-2), "s")
+        unit = next((own for own in known if 2e-7 < units[own].factor * step < 2e-2), "s")
         reason = "CHECK unit"
-    rate = 1.0 / (units[unit].factor * step)
-    return [f"# {rate:.6g} rows a second; {reason}", f"time: {_yaml({'column': time, 'unit': unit})}"], series
+    return {"column": name, "unit": unit}, reason
+
+
+def _dated(table: DataTable, name: str) -> tuple[dict[str, object], str] | None:
+    """The entry of dates of another form, if one of those that are usual fits."""
+    for form in FORMS:
+        try:
+            table.row_times(TimeAxis((name,), form=form))
+        except TableError:
+            continue
+        return {"column": name, "format": form}, "CHECK format: day and month may be the other way round"
+    return None
 
 
 def _dates(name: str, steps: NDArray[np.float64]) -> bool:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from valve_sim.files.data_tables import DataTable
+    from valve_sim.files.tables import DataTable
     from valve_sim.traces.topics import Topic
 
     Array = NDArray[np.float64]
@@ -147,7 +147,7 @@ def _fields(topic: str, messages: Topic) -> list[Series]:
         source = Source(place["topic"], place.get("field", ""), place.get("joint", ""))
         values, _ = messages.values(source)
         values = values[np.isfinite(values)]
-        if len(values) > 1:
+        if len(values):
             is_first = place.get("field", "") not in ("velocity", "effort")
             series.append(Series(place, values, is_first_choice=is_first))
     return series

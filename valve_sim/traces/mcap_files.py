@@ -112,7 +112,7 @@ class IndexedMcap:
     """An MCAP file with its summary.
 
     Raises:
-        NotIndexed: It has none, or one that does not name all channels.
+        NotIndexed: It has none, or one that does not repeat all channels and schemas.
     """
 
     def __init__(self, path: Path) -> None:
@@ -127,6 +127,8 @@ class IndexedMcap:
         self._chunks = summary.chunk_indexes
         counts = summary.statistics.channel_message_counts
         self._left, self._topics = dict(counts), {}
+        if any(own.schema_id and own.schema_id not in summary.schemas for own in summary.channels.values()):
+            raise NotIndexed
         for number, channel in summary.channels.items():
             if self.contents.add_channel(channel, summary.schemas.get(channel.schema_id)):
                 self._topics[number] = channel.topic

@@ -1,4 +1,4 @@
-"""SQLite files of rosbag2, with what a recorder that was killed left in the write-ahead log beside them."""
+"""SQLite files of rosbag2, with the log of what a killed recorder had not finished: ahead, or to be undone."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ SQLITE_MAGIC: Final = b"SQLite format 3\0"
 
 def read_database(path: Path, topics: Mapping[str, Topic]) -> Contents:
     """Read a database up to a damage; arguments as of `mcap_files.read_records`."""
-    log = Path(f"{path}-wal")
-    if not (log.exists() and log.stat().st_size):
+    logs = [log for end in ("-wal", "-journal") if (log := Path(f"{path}{end}")).exists() and log.stat().st_size]
+    if not logs:
         return _read(f"{path.absolute().as_uri()}?immutable=1", topics)
     with tempfile.TemporaryDirectory() as folder:  # SQLite would merge the log into the recording itself
-        for file in (path, log):
+        for file in (path, *logs):
             shutil.copyfile(file, Path(folder) / file.name)
         return _read((Path(folder) / path.name).as_uri(), topics)
 

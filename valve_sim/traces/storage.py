@@ -294,7 +294,7 @@ def _metadata_of(path: Path) -> _Metadata:
     if not file.is_file():
         return _Metadata(trouble="metadata.yaml is missing (the recorder writes it when it ends)")
     with file.open("rb") as stream:
-        text = stream.read(LARGEST_METADATA).decode("utf-8", "replace")
+        text = stream.read(LARGEST_METADATA).decode("utf-8", "replace").replace("\r\n", "\n")
     # Its lines on quality of service are YAML within YAML, of every version in another form.
     listed = re.search(r"^  relative_file_paths:(?P<one> *\[.*)?\n(?P<each>(?: +- .*\n?)*)", text, re.MULTILINE)
     count = re.search(r"^  message_count: (\d{1,18})\s*$", text, re.MULTILINE)

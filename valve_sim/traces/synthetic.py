@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.files.channels import Signal
-from valve_sim.files.tables import TableError, read_table
+from valve_sim.files.data_tables import read_table
+from valve_sim.files.tables import TableError
 from valve_sim.files.yaml_files import read_yaml
 from valve_sim.model import Drive, Response, Valve, ValveError, simulate
 from valve_sim.traces.trace import Trace
@@ -130,8 +131,8 @@ def read_profile(path: Path | str) -> Drive:
     """A commanded voltage from a file of rows time (s), volts (V), each held until the next; 0 V before the first.
 
     A .yaml or .yml file is a list of [time, volts], or of {time: , volts: }. Any other file is a CSV table (see
-    `tables.read_table`) with the columns time and volts; coil_voltage will do, so that a CSV that `simulate` wrote can
-    drive the next simulation.
+    `data_tables.read_table`) with the columns time and volts; coil_voltage will do, so that a CSV that `simulate` wrote
+    can drive the next simulation.
 
     Raises:
         TableError: the file cannot be read, holds anything but numbers, or its times do not ascend from 0 on.

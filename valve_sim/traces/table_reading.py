@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from valve_sim.files.channels import CHANNELS, JUDGED, SIGNALS, Signal
-from valve_sim.files.data_tables import TABLE_SUFFIXES, DataTable, open_table
+from valve_sim.files.data_tables import TABLE_SUFFIXES, open_table
 from valve_sim.files.recording_map import RecordingMap, Source, TimeAxis
+from valve_sim.files.tables import DataTable, RowTimes
 from valve_sim.model.drives import Drive
 from valve_sim.signals.voltage_steps import NoStepError, find_steps, held_steps
 from valve_sim.traces.clocks import SECOND
@@ -58,7 +59,7 @@ def standard_map(path: Path) -> RecordingMap:
             f"valve-sim map {path} writes a first map"
         )
     sources = {key: Source(column=column) for key, column in OWN_COLUMNS.items() if column in names}
-    return RecordingMap(str(path), {"/valve": sources}, TimeAxis("time"))
+    return RecordingMap(str(path), {"/valve": sources}, TimeAxis(("time",)))
 
 
 def read_table_trace(path: Path, valve: str | None, recording_map: RecordingMap) -> Trace:
@@ -92,14 +93,14 @@ class _TableAssembly:
         self.table = table
         self.sources = sources
         self.map = recording_map
-        self.findings: list[str] = []
+        self.findings = list(table.findings)
         self.voltage: Signal | None = None
         """Measured, where it is the input without any command, and its steps do not say all of it."""
 
     def trace(self, valve: str) -> Trace:
         """Put the trace together."""
         judged, pilot = self.judged()
-        times, kept = self.times()
+        times, kept, origin, _ = self.times()
         finite = np.isfinite(pilot)
         if not (finite & kept).any():
             raise TraceError(f"{self.path}: {self.sources[judged].name}: no finite {judged}; name another column")
@@ -111,7 +112,7 @@ class _TableAssembly:
             self.findings.append(f"{self.sources[judged].name}: dropped {dropped} of {len(pilot)} rows without it")
         use = finite & kept
         start = float(times[kept][0])
-        epoch = max(0, round(start * SECOND))
+        epoch = max(0, round(origin) * SECOND + round((start + origin - round(origin)) * SECOND))
         times = times - start
         has_main = judged == "position" and "main_position" in self.sources
         main = self.column("main_position")[use] if has_main else None
@@ -132,7 +133,7 @@ class _TableAssembly:
             epoch_ns=epoch,
             origins={"time": self.timed_by, **{key: source.name for key, source in self.sources.items()}},
             units={key: source.unit for key, source in self.sources.items() if source.unit},
-            clock="time column" if self.axis.column else "rate",
+            clock="time column" if self.axis.columns else "rate",
             **{**signals, "coil_voltage": signals.get("coil_voltage") or self.voltage},  # type: ignore[arg-type] # by name
         )
         trouble = find_problems(trace, self.sources[judged].name, self.sources[self.input].name)
@@ -163,7 +164,9 @@ class _TableAssembly:
     def timed_by(self) -> str:
         """What dates the rows, for messages."""
         axis = self.axis
-        return f"column {axis.column}" if axis.column else f"the rate of {axis.rate:.6g} Hz in {self.map.path}"
+        if axis.rate:
+            return f"the rate of {axis.rate:.6g} Hz in {self.map.path}"
+        return f"column{'s' if len(axis.columns) > 1 else ''} {' and '.join(axis.columns)}"
 
     def column(self, quantity: str) -> Array:
         """A quantity in SI, NaN where a cell is empty."""
@@ -179,14 +182,14 @@ class _TableAssembly:
                 f"{', '.join(self.table.names)}; name one of these"
             )
 
-    def times(self) -> tuple[Array, NDArray[np.bool_]]:
-        """When each row was taken, s, and which rows to keep: a row with the time of the one before goes."""
-        if self.axis.column:
-            self.check_column("time", self.axis.column)
-        times, kept, repeated = self.table.row_times(self.axis)
-        if repeated:
-            self.findings.append(f"column {self.axis.column}: dropped {repeated} rows with the time of the row before")
-        return times, kept
+    def times(self) -> RowTimes:
+        """When each row was taken, and which rows to keep."""
+        for column in self.axis.columns:
+            self.check_column("time", column)
+        found = self.table.row_times(self.axis)
+        if found.repeated:
+            self.findings.append(f"{self.timed_by}: dropped {found.repeated} rows with the time of the row before")
+        return found
 
     def drive(self, times: Array, kept: NDArray[np.bool_]) -> tuple[Drive, DriveErrors]:
         """The voltage as commands, and how well they are known."""

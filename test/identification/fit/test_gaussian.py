@@ -91,7 +91,9 @@ def fitted(first: float, second: float, seed: int = 1) -> Fit:
     """A fit to data with errors of these sizes, at half of the scales of their priors."""
     random = np.random.default_rng(seed)
     columns = [of_group(group) for group in ERRORS]
-    errors = sum(own @ random.normal(0.0, size, own.shape[1]) for own, size in zip(columns, (first, second), strict=True))
+    errors = sum(
+        own @ random.normal(0.0, size, own.shape[1]) for own, size in zip(columns, (first, second), strict=True)
+    )
     data = SIGMA * random.standard_normal(SAMPLES) + random.normal(0.0, 0.05) * COLUMNS[:, 1] + errors
     problem = problem_of(LinearPlant(data, lambda values: values.get("known", 0.0) * COLUMNS[:, 1]))
     groups = [group for group, count in ERRORS.items() for _ in range(count)]

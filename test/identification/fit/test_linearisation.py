@@ -154,9 +154,7 @@ def _short_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("_short_pieces")
 @pytest.mark.parametrize("further", [(), ("coil_heating.temperature_rate",)])
-def test_products_of_pieces_are_those_of_their_rows(
-    further: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_products_of_pieces_are_those_of_their_rows(further: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
     plant = ValvePlant([recorded(RECORDERS["coloured"])], default_valve())
     problem = Problem(plant)
     model = Model(problem, freed.unknowns(problem, (*BOTH, *further), plant.nuisances))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final
@@ -76,20 +77,22 @@ def fit_recording(
     clocks = [own for own in unknowns.known if not own.of_machine]
     stamps = [replace(own, group=None) for own in unknowns.stamps]
     errors = [*columns.varying, *columns.unknowns]
-    sizes = dict(sizes or usual_sizes(columns.groups))
+    usual = dict(sizes or usual_sizes(columns.groups))
+    names = [name for name, own in columns.groups.items() if own.is_learned and not own.stays]
 
     def fitted(which: Sequence[Unknown], start: Mapping[str, float]) -> Fit:
-        return fit(problem, [*clocks, *which, *errors], start, held=machine, sizes=sizes)
+        """With the sizes of errors that suit it: those beside wrong stamps would be far too large."""
+        own = usual
+        best = fit(problem, [*clocks, *which, *errors], start, held=machine, sizes=own)
+        for _ in range(ROUNDS if learns and names else 0):
+            suited = best.gaussian.with_best_sizes(names).sizes
+            if max(abs(math.log(suited[name] / own[name])) for name in names) < HELD:
+                break
+            own = dict(suited)
+            best = fit(problem, [*clocks, *which, *errors], best.values, held=machine, sizes=own)
+        return best
 
     best = fitted([], {})
-    for _ in range(ROUNDS if learns and columns.groups else 0):
-        kept = {name for name, own in columns.groups.items() if own.stays}
-        names = [name for name, own in columns.groups.items() if own.is_learned and name not in kept]
-        suited = best.gaussian.with_best_sizes(names).sizes
-        if max((abs(np.log(suited[name] / sizes[name])) for name in names), default=0.0) < HELD:
-            break
-        sizes = dict(suited)
-        best = fitted([], best.values)
     if not stamps:
         return best
     best = max(best, fitted(stamps, best.values), key=lambda found: found.log_evidence)

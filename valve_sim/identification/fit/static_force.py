@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from valve_sim.files.data_tables import open_table
+from valve_sim.files.data_tables import open_table, read_table
 from valve_sim.files.recording_map import FORCE_QUANTITIES, Source
-from valve_sim.files.tables import TableError, read_table
+from valve_sim.files.tables import TableError
 from valve_sim.identification.fit.intervals import Interval
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.model import Drive, Valve, ValveError, published_times, simulate
@@ -125,8 +125,8 @@ def fit_static_force(
     """Fit the attraction polynomial by least squares.
 
     Args:
-        path: a CSV table (see `tables.read_table`) of displacement, m, and force, N; with `sources` a table of a data
-            logger (see `data_tables.open_table`) of any columns and units.
+        path: a small table (see `data_tables.read_table`) of displacement, m, and force, N; with `sources` a table of a
+            data logger (see `data_tables.open_table`) of any columns and units.
         valve: its other parameters, and the reference voltage that the polynomial is for.
         sources: the columns, as `recording_map.load_force_map` reads them.
         degree: of the polynomial, 0 to 3.
