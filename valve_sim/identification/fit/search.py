@@ -149,6 +149,7 @@ class Search:
                 base = self.best(size)
                 goes_on = base is not None and not self._is_led_by_curve(base) and self._extend(base, is_full=is_full)
                 self._learn_errors()
+                self._beside_look_alikes(max(self.tried, key=self.log_weight))
                 if not goes_on:
                     break
             if self.posterior().unnamed > PROMISING:
@@ -173,13 +174,12 @@ class Search:
         sets = [*(added(base, name) for name in promising), *self._beside_rivals(base)]
         if not sets:
             return False
-        self._fit_all(sets, base)
+        self._fit_all(sets)
         best = self.best(len(base) + 1)
         if best is None:
             return False
         self._again(base, self.tried[best].values)
-        self._fit_all(self._look_alikes(best), base)
-        best = self.best(len(base) + 1) or best
+        best = self._beside_look_alikes(best)
         self._polish(best)
         for rest in (without(best, member) for member in best):
             if rest in self.tried:
@@ -188,8 +188,18 @@ class Search:
             return False
         if self.unnamed_beside(best) < EVEN and len(best) > 1:
             names = [name for name in self.fitter.hypotheses if name not in best]
-            self._fit_all([added(without(best, member), name) for member in best for name in names], base)
+            self._fit_all([added(without(best, member), name) for member in best for name in names])
+            self._beside_look_alikes(self.best(len(best)) or best)
         return True
+
+    def _beside_look_alikes(self, best: Set) -> Set:
+        """The best set of a size, when none that looks like it is better."""
+        while True:
+            self._fit_all(self._look_alikes(best))
+            other = self.best(len(best)) or best
+            if other == best:
+                return best
+            best = other
 
     def _beside_rivals(self, base: Set) -> list[Set]:
         """What the score test finds beside sets that are about as probable as the best of their size."""
@@ -230,7 +240,7 @@ class Search:
             gain = gains[name] + prior - self.rivals.log_prior((name,))[0]
             self.screened[(name,)] = Evidence(base.plain + gain, base.spread.log_evidence + gain, is_fitted=False)
 
-    def _fit_all(self, sets: Iterable[Set], base: Set) -> None:
+    def _fit_all(self, sets: Iterable[Set]) -> None:
         """Fit sets of one size, the promising first; those that cannot come near the best of them are given up.
 
         Raises:
