@@ -10,7 +10,8 @@ import yaml
 from click.testing import CliRunner
 
 from valve_sim.cli import main
-from valve_sim.files.plant_files import PlantFileError, load_plant, plant_from
+from valve_sim.files.plant_entries import PlantFileError
+from valve_sim.files.plant_files import load_plant, plant_from
 from valve_sim.identification.diagnosis.identify import identify_plant
 from valve_sim.identification.plants.own import OwnPlant
 from valve_sim.identification.plants.own_simulation import simulate_plant
@@ -89,7 +90,7 @@ def test_a_declared_delay_is_simulated(tmp_path: Path) -> None:
     content = yaml.safe_load(PLANT)
     content["parameters"] = {"gain": {"value": GAIN, "unit": "rad/(s*V)"}, "tau": {"value": TAU, "unit": "s"}}
     content["inputs"]["voltage"]["delay"] = LAG
-    shown = simulate_plant(plant_from(content, "own.yaml"), recording)
+    shown = simulate_plant(plant_from(content, "own.yaml"), recording).columns
     left = shown["shown"] - recording["shown"].readings
     assert np.std(left) == pytest.approx(0.2, rel=0.1)
 

@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 import yaml
 
-from valve_sim.files.plant_files import PlantFileError, load_plant, plant_from
+from valve_sim.files.plant_entries import PlantFileError
+from valve_sim.files.plant_files import load_plant, plant_from
 
 AXIS = """
 plant: equations

@@ -211,7 +211,7 @@ def _simulate_own(
     duration, rate = span
     if recording is None and duration is None:
         refuse("--duration: is missing; give it, or a LOG")
-    columns = simulate_plant(file, recording, duration, rate)
+    columns, events = simulate_plant(file, recording, duration, rate)
     if noise_seed is not None:
         random = np.random.default_rng(noise_seed)
         for name, own in file.outputs.items():
@@ -220,6 +220,9 @@ def _simulate_own(
     lines = [header, *(",".join(f"{value:.12g}" for value in row) for row in rows.tolist())]
     write_whole(output, "\n".join(lines) + "\n")
     if as_json:
-        print_json({"output": output, "samples": len(columns["time"]), "columns": list(columns)})
+        found = {"output": output, "samples": len(columns["time"]), "columns": list(columns)}
+        print_json(found | {"events": [event._asdict() for event in events]})
         return
+    for event in events:
+        click.echo(f"{1e3 * event.time:12.6f} ms  {event.name}")
     click.echo(f"wrote {output} ({len(columns['time'])} samples: {', '.join(columns)})")

@@ -28,18 +28,19 @@ from typing import Any, Final
 import yaml
 
 from valve_sim.files.entries import Entries, alternatives, is_number, short
+from valve_sim.files.plant_entries import PlantEntries, PlantFileError, a_second
+from valve_sim.files.plant_modes import SECTIONS as MODE_SECTIONS
+from valve_sim.files.plant_modes import Automaton, HeldEntry, ModesReader, held_numbers, mode_names
 from valve_sim.files.yaml_files import read_yaml
-from valve_sim.model.core.own.grammar import FUNCTIONS, Expr, ExpressionError, evaluate, names_in, parse, walk
-from valve_sim.model.core.own.system import Equations
-from valve_sim.model.core.own.units import Dimension, Unit, UnitError, dimension_of, dimension_words, parse_unit, same
-from valve_sim.model.errors import ValveError
+from valve_sim.model.core.own.equations import Equations
+from valve_sim.model.core.own.grammar import Expr, evaluate, names_in, walk
+from valve_sim.model.core.own.units import Dimension, Unit, parse_unit
 
 KINDS: Final = ("equations", "coil", "axis", "valve")
-SECTIONS: Final = ("plant", "states", "inputs", "parameters", "derivatives", "outputs", "effects", "window")
+SECTIONS: Final = (
+    "plant", "states", "inputs", "parameters", "derivatives", "outputs", "effects", "window", *MODE_SECTIONS
+)  # fmt: skip
 TEMPLATE_SECTIONS: Final = ("plant", "rotary", "parameters", "outputs", "effects", "window", "inputs", "states")
-RESERVED: Final = ("t", "time", *FUNCTIONS)
-"""Names that no state, input or parameter may have."""
-_NAME: Final = re.compile(r"[A-Za-z_][A-Za-z_0-9]*$")
 MOST_EFFECTS: Final = 40
 LARGEST: Final = 5000
 """Operations of an output with all that it uses."""
@@ -47,10 +48,6 @@ DEEPEST: Final = 6
 """Keys within each other that a file of a plant has."""
 LONGEST_FILE: Final = 200_000
 """Bytes."""
-
-
-class PlantFileError(ValveError):
-    """A file of a plant cannot be used: one line with the file, the key, what was found and the mend."""
 
 
 @dataclass(frozen=True)
@@ -130,6 +127,7 @@ class PlantFile:
 
     Attributes:
         window: s, after which the states start anew and are estimated again; infinite: never.
+        automaton: its modes, and what makes them change.
     """
 
     path: str
@@ -141,6 +139,7 @@ class PlantFile:
     outputs: Mapping[str, OutputEntry]
     effects: Mapping[str, EffectEntry] = field(default_factory=dict)
     window: float = math.inf
+    automaton: Automaton = field(default_factory=Automaton)
     text: Mapping[str, Any] = field(default_factory=dict, compare=False)
 
     def equations(self, effects: Sequence[str] = ()) -> Equations:
@@ -154,7 +153,11 @@ class PlantFile:
             for target, added in entry.add.items():
                 place = derivatives if target in derivatives else outputs
                 place[target] = Expr("+", (place[target], renamed(added, own)))
-        return Equations(derivatives, outputs, tuple(self.inputs), tuple(names))
+        modes = self.automaton
+        held = {name: number.start for name, number in modes.held.items()}
+        return Equations(
+            derivatives, outputs, tuple(self.inputs), tuple(names), held, modes.regions, modes.transitions
+        )  # fmt: skip
 
     def sized(self, sizes: Mapping[str, float]) -> PlantFile:
         """This plant with scales of effects as these sizes of its signals make them.
@@ -204,12 +207,6 @@ def renamed(expression: Expr, names: Mapping[str, str]) -> Expr:
     if expression.op == "name":
         return Expr("name", (), names.get(expression.value, expression.value))
     return Expr(expression.op, tuple(renamed(own, names) for own in expression.args), expression.value)
-
-
-def _a_second(unit: Unit) -> Dimension:
-    """The dimension of the rate at which what has this unit changes."""
-    length, mass, time, current, temperature = unit.dimension
-    return length, mass, time - 1, current, temperature
 
 
 def is_own_plant(path: Path | str) -> bool:
@@ -325,68 +322,55 @@ def _choose_effects(template: dict[str, Any], found: Mapping[Any, Any], path: st
         raise PlantFileError(f"{path}: effects: found {short(chosen)}, expected a list of names, or names and effects")
 
 
-class _Reader(Entries):
+class _Reader(PlantEntries):
     """Checks the content of one file."""
 
     def __init__(self, found: Mapping[Any, Any], path: str, kind: str) -> None:
-        super().__init__(path, PlantFileError)
-        self._found, self._kind = found, kind
+        super().__init__(found, path)
+        self._kind = kind
 
     def whole(self) -> PlantFile:
-        path, found = self.where, self._found
+        path, found = self.where, self.found
         self.check_keys("", found, SECTIONS)
-        states = {name: self._state(name, own) for name, own in self._section("states").items()}
-        inputs = {name: self._input(name, own) for name, own in self._section("inputs").items()}
-        parameters = {name: self._parameter(name, own) for name, own in self._section("parameters").items()}
-        self._once({"states": states, "inputs": inputs, "parameters": parameters})
+        states = {name: self._state(name, own) for name, own in self.section("states").items()}
+        inputs = {name: self._input(name, own) for name, own in self.section("inputs").items()}
+        parameters = {name: self._parameter(name, own) for name, own in self.section("parameters").items()}
+        held = held_numbers(self)
+        self.modes = mode_names(self)
+        regions = {region: None for region, _ in self.modes.values()}
+        self._once({"states": states, "inputs": inputs, "parameters": parameters, "held": held, "regions": regions})
         dimensions: dict[str, Dimension] = {"t": (0, 0, 1, 0, 0), "time": (0, 0, 1, 0, 0)}
-        groups: tuple[Mapping[str, StateEntry | InputEntry | ParameterEntry], ...] = (states, inputs, parameters)
+        dimensions |= dict.fromkeys(regions, parse_unit("").dimension)
+        groups: tuple[Mapping[str, StateEntry | InputEntry | ParameterEntry | HeldEntry], ...]
+        groups = states, inputs, parameters, held
         for group in groups:
             dimensions.update({name: own.unit.dimension for name, own in group.items()})
-        section = self._section("outputs")
+        section = self.section("outputs")
         shown = {name: self._output_unit(name, own) for name, own in section.items() if name not in dimensions}
         everything = {**dimensions, **{name: unit.dimension for name, unit in shown.items()}}
         outputs = self._resolved({name: self._output(name, own, everything) for name, own in section.items()}, shown)
         equations = {name: own.value for name, own in outputs.items() if name in shown}
         derivatives = {name: inlined(own, equations) for name, own in self._derivatives(states, everything).items()}
+        units = {name: own.unit for name, own in states.items()} | {name: own.unit for name, own in held.items()}
+        automaton = ModesReader(self, units, states, everything).whole(held).mapped(lambda own: inlined(own, equations))
         if not outputs:
             raise self.fail("outputs", "is missing; say what is measured: outputs: {position: {value: x, unit: m}}")
         clash = next((name for name in outputs if name in derivatives and outputs[name].value.value != name), None)
         if clash:
             raise self.fail(f"outputs.{clash}", "has the name of a state that it does not show; choose another name")
         if self._kind == "equations":  # of a template a user leaves effects out, and what they alone use
-            self._used(derivatives, outputs, parameters, inputs)
+            self._used([*derivatives.values(), *automaton.expressions()], outputs, parameters, inputs)
         effects = self._effects(derivatives, outputs, everything)
         effects = {
             name: replace(own, add={key: inlined(added, equations) for key, added in own.add.items()})
             for name, own in effects.items()
         }
-        window = self._number("window", found["window"]) if "window" in found else math.inf
+        window = self.si("window", found["window"]) if "window" in found else math.inf
         if window <= 0.0:
             raise self.fail("window", f"found {window:g}, expected a duration in s above 0")
         return PlantFile(
-            path, self._kind, states, inputs, parameters, derivatives, outputs, effects, window, dict(found)
+            path, self._kind, states, inputs, parameters, derivatives, outputs, effects, window, automaton, dict(found)
         )  # fmt: skip
-
-    def _section(self, key: str) -> Mapping[str, Any]:
-        found = self._found.get(key, {})
-        if not isinstance(found, Mapping):
-            raise self.fail(key, f"found {short(found)}, expected names, each with its entry: {key}: {{x: {{...}}}}")
-        for name in found:
-            self._check_name(f"{key}.{name}", name)
-        return found
-
-    def _check_name(self, key: str, name: object) -> None:
-        if isinstance(name, bool):
-            raise self.fail(key, f"found {name} for a name: YAML reads on, off, yes and no so; write it in quotes")
-        if not isinstance(name, str) or not _NAME.match(name):
-            raise self.fail(key, f"found the name {short(name)}, expected letters, digits and _, a letter first")
-        if name in RESERVED:
-            raise self.fail(
-                key, f"{name} is the name of {'the time' if name in ('t', 'time') else 'a function'}; choose another"
-            )
-        if len(name) > 60:
-            raise self.fail(key[:60], "is longer than 60 characters; choose a shorter name")
 
     def _once(self, groups: Mapping[str, Mapping[str, object]]) -> None:
         seen: dict[str, str] = {}
@@ -396,28 +380,12 @@ class _Reader(Entries):
                     raise self.fail(f"{key}.{name}", f"is a name in {seen[name]}, too; choose another")
                 seen[name] = key
 
-    def _entry(self, key: str, found: object, known: Sequence[str]) -> Mapping[str, Any]:
-        entry = self.mapping(key, found, f"keys {', '.join(known)}")
-        self.check_keys(key, entry, known)
-        return entry
-
-    def _unit(self, key: str, entry: Mapping[str, Any]) -> Unit:
-        unit = self.unit(f"{key}.unit", entry.get("unit", ""))
-        if unit.zero:
-            text = entry["unit"]
-            raise self.fail(f"{key}.unit", f"found {text}; temperatures of a plant are in K, {text} is for columns")
-        return unit
-
-    def _number(self, key: str, found: object, unit: Unit | None = None) -> float:
-        """A number in the unit of its entry, in SI."""
-        return self.number(key, found) * (1.0 if unit is None else unit.factor)
-
     def _from_zero(
         self, key: str, entry: Mapping[str, Any], unit: Unit | None = None, what: str = "a standard deviation"
     ) -> float:
         """A number of an entry that is not negative, in SI; 0 where it is not given."""
         given = entry.get(key.rpartition(".")[2], 0.0)
-        found = self._number(key, given, unit)
+        found = self.si(key, given, unit)
         if found < 0.0:
             raise self.fail(key, f"found {given}, expected {what} from 0 on")
         return found
@@ -435,7 +403,7 @@ class _Reader(Entries):
         if "range" in entry:
             for end in found:
                 if not (isinstance(end, float) and math.isinf(end)):
-                    self._number(f"{key}.range", end)
+                    self.si(f"{key}.range", end)
         lower, upper = (float(end) * unit.factor for end in found)
         if not lower < upper:
             raise self.fail(f"{key}.range", f"found {short(found)}, expected the lower end first, and another above it")
@@ -443,29 +411,29 @@ class _Reader(Entries):
 
     def _state(self, name: str, found: object) -> StateEntry:
         key = f"states.{name}"
-        entry = self._entry(key, found, ("unit", "start"))
-        unit = self._unit(key, entry)
+        entry = self.entry(key, found, ("unit", "start"))
+        unit = self.plant_unit(key, entry)
         start = entry.get("start", 0.0)
         if isinstance(start, str) and start != "free":
             raise self.fail(f"{key}.start", f"found {short(start)}, expected a number or free")
-        return StateEntry(unit, None if start == "free" else self._number(f"{key}.start", start, unit))
+        return StateEntry(unit, None if start == "free" else self.si(f"{key}.start", start, unit))
 
     def _input(self, name: str, found: object) -> InputEntry:
         key = f"inputs.{name}"
-        entry = self._entry(key, found, ("unit", "between", "delay"))
+        entry = self.entry(key, found, ("unit", "between", "delay"))
         between = entry.get("between", "straight")
         if between not in ("held", "straight"):
             raise self.fail(f"{key}.between", f"found {short(between)}, expected held or straight")
         delay = self._from_zero(f"{key}.delay", entry, what="seconds")
-        return InputEntry(self._unit(key, entry), between == "held", delay)
+        return InputEntry(self.plant_unit(key, entry), between == "held", delay)
 
     def _parameter(self, name: str, found: object) -> ParameterEntry:
         key = f"parameters.{name}"
-        entry = self._entry(key, found, ("value", "unit", "tolerance", "free", "range", "varies", "title"))
-        unit = self._unit(key, entry)
+        entry = self.entry(key, found, ("value", "unit", "tolerance", "free", "range", "varies", "title"))
+        unit = self.plant_unit(key, entry)
         if "value" not in entry:
             raise self.fail(f"{key}.value", "is missing; give the declared value, or where a fit starts")
-        value = self._number(f"{key}.value", entry["value"], unit)
+        value = self.si(f"{key}.value", entry["value"], unit)
         tolerance, varies = (self._from_zero(f"{key}.{name}", entry, unit) for name in ("tolerance", "varies"))
         free = entry.get("free", False)
         if not isinstance(free, bool):
@@ -477,40 +445,8 @@ class _Reader(Entries):
             raise self.fail(f"{key}.value", f"found {entry['value']}, expected within range: {entry['range']}")
         return ParameterEntry(unit, value, tolerance, free, lower, upper, varies, self._title(key, entry))
 
-    def _expression(self, key: str, found: object, dimensions: Mapping[str, Dimension]) -> Expr:
-        if isinstance(found, bool):
-            raise self.fail(key, f"found {found}: YAML reads on, off, yes and no so; write the expression in quotes")
-        if isinstance(found, int | float):
-            found = repr(found)
-        if not isinstance(found, str):
-            raise self.fail(
-                key,
-                f"found {short(found)}, expected an expression such as (force - viscous*v)/mass; "
-                "in { } commas need quotes",
-            )
-        try:
-            expression = parse(found)
-        except ExpressionError as error:
-            raise self.fail(key, str(error)) from error
-        for name in names_in(expression):
-            if name not in dimensions:
-                raise self.fail(
-                    key, f"uses {name}, which is no state, input or parameter; {alternatives(name, dimensions)}"
-                )
-        return expression
-
-    def _dimension(self, key: str, expression: Expr, dimensions: Mapping[str, Dimension]) -> Dimension | None:
-        try:
-            return dimension_of(expression, dimensions)
-        except UnitError as error:
-            raise self.fail(key, f"{error}; make both sides fit, or correct a unit") from error
-
-    def _fits(self, key: str, found: Dimension | None, expected: Dimension, what: str) -> None:
-        if found is not None and not same(found, expected):
-            raise self.fail(key, f"is in {dimension_words(found)}, expected {dimension_words(expected)}, {what}")
-
     def _derivatives(self, states: Mapping[str, StateEntry], dimensions: Mapping[str, Dimension]) -> dict[str, Expr]:
-        found = self._section("derivatives")
+        found = self.section("derivatives")
         for name in found:
             if name not in states:
                 raise self.fail(f"derivatives.{name}", f"is of no state; {alternatives(name, states)}")
@@ -519,13 +455,13 @@ class _Reader(Entries):
             key = f"derivatives.{name}"
             if name not in found:
                 raise self.fail(key, f"is missing; say how the state {name} changes")
-            derivatives[name] = self._expression(key, found[name], dimensions)
-            own = self._dimension(key, derivatives[name], dimensions)
-            self._fits(key, own, _a_second(state.unit), f"the unit of {name} a second")
+            derivatives[name] = self.expression(key, found[name], dimensions)
+            own = self.dimension(key, derivatives[name], dimensions)
+            self.fits(key, own, a_second(state.unit), f"the unit of {name} a second")
         return derivatives
 
     def _output_unit(self, name: str, found: object) -> Unit:
-        return self._unit(f"outputs.{name}", found) if isinstance(found, Mapping) else parse_unit("")
+        return self.plant_unit(f"outputs.{name}", found) if isinstance(found, Mapping) else parse_unit("")
 
     def _resolved(self, outputs: Mapping[str, OutputEntry], shown: Mapping[str, Unit]) -> dict[str, OutputEntry]:
         """Outputs whose equations use no other outputs."""
@@ -552,13 +488,13 @@ class _Reader(Entries):
         key = f"outputs.{name}"
         if isinstance(found, str):
             raise self.fail(key, f"found {short(found)}, expected {{value: {found}, unit: ...}}")
-        entry = self._entry(key, found, ("value", "unit", "noise", "delay"))
-        unit = self._unit(key, entry)
+        entry = self.entry(key, found, ("value", "unit", "noise", "delay"))
+        unit = self.plant_unit(key, entry)
         if "value" not in entry:
             raise self.fail(f"{key}.value", "is missing; say what the sensor shows")
-        value = self._expression(f"{key}.value", entry["value"], dimensions)
-        self._fits(f"{key}.value", self._dimension(f"{key}.value", value, dimensions), unit.dimension, "its unit")
-        noise = self._number(f"{key}.noise", entry["noise"], unit) if "noise" in entry else None
+        value = self.expression(f"{key}.value", entry["value"], dimensions)
+        self.fits(f"{key}.value", self.dimension(f"{key}.value", value, dimensions), unit.dimension, "its unit")
+        noise = self.si(f"{key}.noise", entry["noise"], unit) if "noise" in entry else None
         if noise is not None and noise <= 0.0:
             raise self.fail(
                 f"{key}.noise",
@@ -567,13 +503,13 @@ class _Reader(Entries):
         return OutputEntry(unit, value, noise, self._from_zero(f"{key}.delay", entry, what="seconds"))
 
     def _used(
-        self, derivatives: Mapping[str, Expr], outputs: Mapping[str, OutputEntry],
+        self, equations: Sequence[Expr], outputs: Mapping[str, OutputEntry],
         parameters: Mapping[str, object], inputs: Mapping[str, object],
     ) -> None:  # fmt: skip
         """Every parameter and input has a use, in the equations or in an effect."""
-        used = {name for own in derivatives.values() for name in names_in(own)}
+        used = {name for own in equations for name in names_in(own)}
         used |= {name for own in outputs.values() for name in names_in(own.value)}
-        effects = self._found.get("effects", {})
+        effects = self.found.get("effects", {})
         text = repr(effects)
         for key, group in (("parameters", parameters), ("inputs", inputs)):
             for name in group:
@@ -583,13 +519,13 @@ class _Reader(Entries):
     def _effects(
         self, derivatives: Mapping[str, Expr], outputs: Mapping[str, OutputEntry], dimensions: Mapping[str, Dimension]
     ) -> dict[str, EffectEntry]:
-        found = self._section("effects")
+        found = self.section("effects")
         if len(found) > MOST_EFFECTS:
             raise self.fail("effects", f"found {len(found)}, expected at most {MOST_EFFECTS}")
         effects = {}
         for name, own in found.items():
             key = f"effects.{name}"
-            entry = self._entry(key, own, ("add", "delay", "parameters", "confused_with", "title"))
+            entry = self.entry(key, own, ("add", "delay", "parameters", "confused_with", "title"))
             parameters = self._effect_parameters(key, entry.get("parameters"), dimensions)
             known = {**dimensions, **{one: parameter.unit.dimension for one, parameter in parameters.items()}}
             delay = self._delays(key, entry["delay"], parameters, outputs) if "delay" in entry else {}
@@ -608,7 +544,7 @@ class _Reader(Entries):
     ) -> dict[str, str]:
         """Which parameter of an effect delays which input or output."""
         key = f"{key}.delay"
-        known = [*self._section("inputs"), *outputs]
+        known = [*self.section("inputs"), *outputs]
         entries = self.filled(key, found, "an input or output and a parameter: {force: lag}")
         for target, name in entries.items():
             if target not in known:
@@ -616,7 +552,7 @@ class _Reader(Entries):
             if name not in parameters:
                 raise self.fail(f"{key}.{target}", f"found {short(name)}; {alternatives(name, parameters)}")
             own = parameters[name]
-            self._fits(f"{key}.{target}", own.unit.dimension, (0, 0, 1, 0, 0), f"a time, as {name} has to be")
+            self.fits(f"{key}.{target}", own.unit.dimension, (0, 0, 1, 0, 0), f"a time, as {name} has to be")
             if own.neutral != 0.0 or not (own.lower == 0.0 and own.upper < math.inf):
                 raise self.fail(
                     f"{key}.{target}", f"{name} needs neutral: 0 and a range from 0 on, such as range: [0, 0.1]"
@@ -641,10 +577,10 @@ class _Reader(Entries):
         parameters = {}
         for name, own in self.filled(key, found, "at least one: {level: {unit: N, neutral: 0, scale: 10}}").items():
             where = f"{key}.{name}"
-            self._check_name(where, name)
+            self.check_name(where, name)
             if name in dimensions:
                 raise self.fail(where, "is the name of a state, input or parameter, too; choose another")
-            entry = self._entry(where, own, ("unit", "neutral", "scale", "range", "title"))
+            entry = self.entry(where, own, ("unit", "neutral", "scale", "range", "title"))
             parameters[name] = self._effect_parameter(where, entry, dimensions)
         if all(parameter.neutral is None for parameter in parameters.values()):
             raise self.fail(key, "none has neutral:, the value at which the effect changes nothing; add it to one")
@@ -653,18 +589,18 @@ class _Reader(Entries):
     def _effect_parameter(
         self, key: str, entry: Mapping[str, Any], dimensions: Mapping[str, Dimension]
     ) -> EffectParameter:
-        unit = self._unit(key, entry)
+        unit = self.plant_unit(key, entry)
         lower, upper = self._range(key, entry, unit)
-        neutral = self._number(f"{key}.neutral", entry["neutral"], unit) if "neutral" in entry else None
+        neutral = self.si(f"{key}.neutral", entry["neutral"], unit) if "neutral" in entry else None
         if neutral is not None and not lower <= neutral <= upper:
             raise self.fail(f"{key}.neutral", f"found {entry['neutral']}, expected within range: {entry['range']}")
         scale_of = None
         if isinstance(entry.get("scale"), str) and not is_number(entry["scale"]):
-            scale, scale_of = unit.factor, self._expression(f"{key}.scale", entry["scale"], dimensions)
-            found = self._dimension(f"{key}.scale", scale_of, dimensions)
-            self._fits(f"{key}.scale", found, unit.dimension, "the unit of what it is the scale of")
+            scale, scale_of = unit.factor, self.expression(f"{key}.scale", entry["scale"], dimensions)
+            found = self.dimension(f"{key}.scale", scale_of, dimensions)
+            self.fits(f"{key}.scale", found, unit.dimension, "the unit of what it is the scale of")
         elif "scale" in entry:
-            scale = self._number(f"{key}.scale", entry["scale"], unit)
+            scale = self.si(f"{key}.scale", entry["scale"], unit)
             if scale <= 0.0:
                 raise self.fail(f"{key}.scale", f"found {entry['scale']}, expected a size above 0")
         elif math.isfinite(upper - lower):
@@ -685,12 +621,12 @@ class _Reader(Entries):
             where = f"{key}.{target}"
             if target not in derivatives and target not in outputs:
                 raise self.fail(where, f"is no state and no output; {alternatives(target, [*derivatives, *outputs])}")
-            expression = self._expression(where, own, dimensions)
-            dimension = self._dimension(where, expression, dimensions)
+            expression = self.expression(where, own, dimensions)
+            dimension = self.dimension(where, expression, dimensions)
             if target in derivatives:
-                unit = self._unit(f"states.{target}", self._found["states"][target])
-                self._fits(where, dimension, _a_second(unit), f"the unit of {target} a second")
+                unit = self.plant_unit(f"states.{target}", self.found["states"][target])
+                self.fits(where, dimension, a_second(unit), f"the unit of {target} a second")
             else:
-                self._fits(where, dimension, outputs[target].unit.dimension, f"the unit of {target}")
+                self.fits(where, dimension, outputs[target].unit.dimension, f"the unit of {target}")
             add[str(target)] = expression
         return add

@@ -83,8 +83,11 @@ def test_the_first_fall_is_found(library: Library, roots: list[float], scale: fl
     block = np.zeros(layout.SIZE)
     first = layout.GUARD
     block[first : first + len(coefficients)] = coefficients / h ** np.arange(len(coefficients))
-    signature = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_void_p, ctypes.c_int64, ctypes.c_double, ctypes.c_double)
-    found = signature(library.address("first_fall"))(block.ctypes.data, first, h, 1e-13 * scale)
+    pointer, integer, double = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double
+    signature = ctypes.CFUNCTYPE(double, pointer, integer, double, double, integer, pointer)
+    room = np.empty(2 * layout.TERMS)
+    first_fall = signature(library.address("first_fall"))
+    found = first_fall(block.ctypes.data, first, h, 1e-13 * scale, layout.TERMS, room.ctypes.data)
     if roots[0] < 1.0 - 1e-9:
         assert found == pytest.approx(roots[0] * h, rel=1e-9)
     elif roots[0] > 1.0 + 1e-9:

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from plants.rubbing import rubbing_axis
 from scipy.integrate import solve_ivp
 
+from valve_sim.model.core.hybrid.system import EquationsError
+from valve_sim.model.core.own.equations import Equations
 from valve_sim.model.core.own.grammar import ExpressionError, parse
 from valve_sim.model.core.own.simulation import Inputs, Machine, without_straight
-from valve_sim.model.core.own.system import Equations, EquationsError
 from valve_sim.model.core.own.units import UnitError, dimension_of, parse_unit
 from valve_sim.model.errors import SimulationError
 
@@ -42,7 +43,7 @@ def driven(count: int = 2001) -> tuple[Array, Inputs]:
 
 def test_an_axis_sticks_and_slips_as_one_of_small_steps_does() -> None:
     times, inputs = driven(401)
-    shown, _ = axis().run(NUMBERS, AT_REST, inputs, times)
+    shown, *_ = axis().run(NUMBERS, AT_REST, inputs, times)
     position, velocity = rubbing_axis(times, inputs.levels[:, 0], 1.0, 0.2, 0.5, 0.3)
     assert np.max(np.abs(shown[:, 0] - position)) < 2e-5 * np.ptp(position)
     assert np.max(np.abs(shown[:, 1] - velocity)) < 2e-4 * np.ptp(velocity)
@@ -78,7 +79,7 @@ def test_derivatives_along_many_directions_are_those_along_each() -> None:
 def test_a_decay_and_an_oscillation_are_those_of_their_formulas() -> None:
     times = np.linspace(0.0, 5.0, 101)
     own = machine({"y": "-y/tau", "x": "v", "v": "-w**2*x"}, {"y": "y", "x": "x"}, (), ("tau", "w"))
-    shown, slopes = own.run({"tau": 0.7, "w": 6.0}, {"y": 2.0, "x": 1.0, "v": 0.0}, NO_INPUTS, times, [{"w": 1.0}])
+    shown, slopes, *_ = own.run({"tau": 0.7, "w": 6.0}, {"y": 2.0, "x": 1.0, "v": 0.0}, NO_INPUTS, times, [{"w": 1.0}])
     assert np.allclose(shown[:, 0], 2.0 * np.exp(-times / 0.7), rtol=1e-7)
     assert np.allclose(shown[:, 1], np.cos(6.0 * times), atol=1e-7)
     assert np.allclose(slopes[:, 1, 0], -times * np.sin(6.0 * times), atol=1e-5)
@@ -88,9 +89,9 @@ def test_a_held_input_acts_from_its_sample_on_and_a_straight_one_joins_them() ->
     times = np.array([0.0, 1.0, 2.0])
     levels = np.array([[0.0], [2.0], [0.0]])
     own = machine({"x": "u"}, {"x": "x", "u": "u"}, ("u",))
-    held, _ = own.run({}, {"x": 0.0}, Inputs(times, levels, np.array([True])), np.array([0.5, 1.0, 1.5, 2.0, 3.0]))
+    held, *_ = own.run({}, {"x": 0.0}, Inputs(times, levels, np.array([True])), np.array([0.5, 1.0, 1.5, 2.0, 3.0]))
     assert np.allclose(held, [[0, 0], [0, 2], [1, 2], [2, 0], [2, 0]], atol=1e-12)
-    straight, _ = own.run({}, {"x": 0.0}, Inputs(times, levels, np.array([False])), np.array([0.5, 1.0, 1.5, 3.0]))
+    straight, *_ = own.run({}, {"x": 0.0}, Inputs(times, levels, np.array([False])), np.array([0.5, 1.0, 1.5, 3.0]))
     assert np.allclose(straight, [[0.25, 1], [1, 2], [1.75, 1], [2, 0]], atol=1e-12)
 
 
@@ -98,7 +99,7 @@ def test_a_switch_is_an_event_between_samples() -> None:
     """A tank that overflows above its level: between two samples only an exact event gives the closed form."""
     own = machine({"h": "q - k*max(0, h - top)"}, {"h": "h"}, (), ("q", "k", "top"))
     late = np.array([0.0, 10.0])
-    shown, slopes = own.run({"q": 1.0, "k": 2.0, "top": 0.7}, {"h": 0.0}, NO_INPUTS, late, [{"top": 1.0}])
+    shown, slopes, *_ = own.run({"q": 1.0, "k": 2.0, "top": 0.7}, {"h": 0.0}, NO_INPUTS, late, [{"top": 1.0}])
     assert shown[1, 0] == pytest.approx(0.7 + 0.5 * (1.0 - math.exp(-2.0 * 9.3)), rel=1e-8)
     assert slopes[1, 0, 0] == pytest.approx(1.0 - math.exp(-2.0 * 9.3), abs=1e-7)
 
@@ -112,7 +113,7 @@ def test_two_joints_that_rub_on_each_other_stick_together() -> None:
     times = np.linspace(0.0, 1.0, 11)
     for force, slides in ((1.0, False), (3.0, True)):
         inputs = Inputs(np.array([0.0, 1.0]), np.full((2, 1), force), np.array([True]))
-        shown, _ = own.run(numbers, {"a": 0.0, "b": 0.0}, inputs, times)
+        shown, *_ = own.run(numbers, {"a": 0.0, "b": 0.0}, inputs, times)
         rates = ((force - 0.5) / 2.0, 0.5) if slides else (force / 3.0, force / 3.0)
         assert np.allclose(shown, np.outer(times, rates), atol=1e-9)
 
@@ -122,7 +123,7 @@ def test_friction_by_direction_holds_what_each_direction_holds() -> None:
     numbers = {"m": 1.0, "up": 1.0, "down": 3.0}
     for force, speed in ((0.9, 0.0), (-2.9, 0.0), (1.5, 0.5), (-3.5, -0.5)):
         inputs = Inputs(np.array([0.0, 1.0]), np.full((2, 1), force), np.array([True]))
-        shown, _ = own.run(numbers, {"v": 0.0}, inputs, np.array([1.0]))
+        shown, *_ = own.run(numbers, {"v": 0.0}, inputs, np.array([1.0]))
         assert shown[0, 0] == pytest.approx(speed, abs=1e-12)
 
 
@@ -135,7 +136,7 @@ def test_a_pendulum_is_that_of_another_integrator() -> None:
         return [w, -9.0 * math.sin(q) - 0.1 * w * abs(w) + math.tanh(q) / (1.0 + q * q)]
 
     found = solve_ivp(rates, (0.0, 6.0), [2.0, 0.0], t_eval=times, rtol=1e-11, atol=1e-12)
-    shown, _ = own.run({"g": 9.0, "d": 0.1}, {"q": 2.0, "w": 0.0}, NO_INPUTS, times)
+    shown, *_ = own.run({"g": 9.0, "d": 0.1}, {"q": 2.0, "w": 0.0}, NO_INPUTS, times)
     assert np.max(np.abs(shown[:, 0] - found.y[0])) < 1e-6
 
 

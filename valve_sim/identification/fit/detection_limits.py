@@ -21,7 +21,7 @@ import numpy as np
 from valve_sim.identification.fit.fitter import Fitter, Tried
 from valve_sim.identification.fit.posterior import SURE
 from valve_sim.identification.fit.priors import Normal
-from valve_sim.identification.fit.score_test import MOVES_NOTHING, log_bayes_factor, moved_by
+from valve_sim.identification.fit.score_test import MOVES_NOTHING, log_bayes_factor, moved_by, tangents
 from valve_sim.identification.fit.starts import SMALL, Near
 from valve_sim.identification.fit.unknown import Hypothesis, Unknown
 
@@ -56,24 +56,20 @@ def _short(own: Unknown) -> str:
 
 
 def _sigmas(fitter: Fitter, tried: Tried, own: Hypothesis) -> dict[str, float]:
-    """Standard error of each switch alone, while it is small, in its coordinate; of a released value with its tolerance.
+    """Standard error of each small switch alone, in its coordinate; of a released value with its tolerance.
 
     Of the signs that it may have, and of a small move and the tangent, that counts which shows less: along a move in
     which the residuals bend an effect would show more than it does.
     """
     gaussian, found = tried.fit.gaussian, dict[str, float]()
-    model = fitter.model((own.name,), has_columns=False)
-    z = model.at({**tried.values, **own.off()})
     near = Near((SMALL,), has_shapes=False, has_signs=True)
-    moved = [(move.switch, move.by, change) for move, change in moved_by(fitter, (), tried, own, near)]
-    for switch in [one for one in own.frees if one.is_switch]:
-        tangent = model.tangent(z, model.index[switch.name])
-        moved += [] if tangent is None else [(switch, switch.scale, switch.scale * tangent)]
+    moved = [*moved_by(fitter, (), tried, own, near), *tangents(fitter, (), tried, own)]
     if moved:
-        squares, _ = gaussian.beyond(np.column_stack([change for _, _, change in moved]))
-        for (switch, by, _), power in zip(moved, np.diag(squares).tolist(), strict=True):
+        squares, _ = gaussian.beyond(np.column_stack([change for _, change in moved]))
+        for (move, _), power in zip(moved, np.diag(squares).tolist(), strict=True):
             if power > MOVES_NOTHING:
-                found[switch.name] = max(found.get(switch.name, 0.0), abs(by) / math.sqrt(power))
+                name = move.switch.name
+                found[name] = max(found.get(name, 0.0), abs(move.by) / math.sqrt(power))
     for place, one in enumerate(gaussian.model.moving):
         for switch in own.frees:
             is_same = one.is_tolerated and switch.name in (one.name, *one.replaces) and one.unit == switch.unit

@@ -1,8 +1,8 @@
 """The score test of every hypothesis that a fit leaves out: the odds that adding it would have, to first order.
 
 The sensitivity to an effect is one simulation with a little of it on. What the fit can do of it is projected out; the
-rest says where the effect's amplitude would come to, how certain it would be, and with its prior what the evidence would
-gain (Rao's score test, with Laplace's volume). It costs one simulation for each effect, size and shape.
+rest says where the effect's amplitude would come to, how certain it would be, and with its prior what the evidence
+would gain (Rao's score test, with Laplace's volume). It costs one simulation for each effect, size and shape.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Move(NamedTuple):
 
 
 def log_gains(fitter: Fitter, base: Set, tried: Tried) -> dict[str, float]:
-    """Gain of ln p by each hypothesis that is not in a fitted set, to first order; the largest over sizes and shapes."""
+    """Gain of ln p by each hypothesis not in a fitted set, to first order; the largest over sizes and shapes."""
     gaussian = tried.fit.gaussian
     found: dict[str, float] = {}
     columns: list[Array] = []
@@ -58,6 +58,7 @@ def log_gains(fitter: Fitter, base: Set, tried: Tried) -> dict[str, float]:
             continue
         found[name] = -math.inf
         moved = [pair for size in SIZES for pair in moved_by(fitter, base, tried, own, Near((size,), has_signs=True))]
+        moved += tangents(fitter, base, tried, own)
         columns += [change for _, change in moved]
         moves += [move for move, _ in moved]
     if not columns:
@@ -95,6 +96,22 @@ def moved_by(fitter: Fitter, base: Set, tried: Tried, own: Hypothesis, near: Nea
                 continue
             if by != 0.0:
                 found.append((Move(own.name, switch, by), change))
+    return found
+
+
+def tangents(fitter: Fitter, base: Set, tried: Tried, own: Hypothesis) -> list[tuple[Move, Array]]:
+    """Each switch of a hypothesis at off, moved by its scale along the derivative, where the plant knows that.
+
+    Along a move in which residuals bend a clock or a scale would seem to follow less of an effect than it does.
+    Arguments as of `moved_by`.
+    """
+    model = fitter.model(tuple(sorted((*base, own.name))), has_columns=False)
+    z, found = model.at({**tried.values, **own.off()}), []
+    for switch in [one for one in own.frees if one.is_switch]:
+        by = switch.scale if switch.start + switch.scale <= switch.upper else -switch.scale
+        change = model.tangent(z, model.index[switch.name])
+        if change is not None:
+            found.append((Move(own.name, switch, by), by * change))
     return found
 
 

@@ -5,13 +5,14 @@
         B = the most probable set of that size
         fit B with each addition that the score test finds promising; with each, where something unnamed acts beside B;
         sets that are nearly as probable as B with what the score test finds beside them
-            the best again from other shapes and around; sets within it from where it ended; its look-alikes; its members swapped
+            the best again from other shapes and around; sets within it from where it ended
+            its look-alikes; its members swapped
         stop where none is more probable than B, or where a smooth curve explains more than two names
         learn the errors again beside the best; where that explains more: fit again what may come near
     fit what is near the best again beside a process, where something unnamed may act
 
-Work is counted in simulated strokes, never by a clock, so that a busy machine finds what a quiet one does. What it would
-still have fitted when the work is used up is left in the table with the best evidence found.
+Work is counted in simulated strokes, never by a clock, so that a busy machine finds what a quiet one does. What it
+would still have fitted when the work is used up is left in the table with the best evidence found.
 """
 
 from __future__ import annotations

@@ -10,13 +10,14 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.files.plant_files import InputEntry, OutputEntry, PlantFile, PlantFileError
+from valve_sim.files.plant_entries import PlantFileError
+from valve_sim.files.plant_files import InputEntry, OutputEntry, PlantFile, inlined
 from valve_sim.files.recording_map import MapError
 from valve_sim.identification.plants.protocol import (
     Advice,
@@ -28,9 +29,10 @@ from valve_sim.identification.plants.protocol import (
     Plant,
     Sensitivities,
 )
+from valve_sim.model.core.hybrid.system import EquationsError
+from valve_sim.model.core.own.equations import Equations
 from valve_sim.model.core.own.grammar import Expr, names_in, walk
 from valve_sim.model.core.own.simulation import Inputs, Machine, without_straight
-from valve_sim.model.core.own.system import Equations, EquationsError
 from valve_sim.model.core.own.units import dimension_words, same
 from valve_sim.model.errors import ParameterError, SimulationError
 from valve_sim.model.parameters import Parameter, closest
@@ -228,23 +230,20 @@ class OwnPlant(Plant):
 
     def _with_errors(self, equations: Equations) -> Equations:
         """The equations with factor and offset of each column whose errors are estimated."""
-        derivatives, outputs, names = dict(equations.derivatives), dict(equations.outputs), list(equations.parameters)
+        outputs, names = dict(equations.outputs), list(equations.parameters)
+        driven: dict[str, Expr] = {}
         for name in sorted({own.partition("].")[2] for own in self._corrected}):
-            gain, offset = f"{name} gain", f"{name} offset"
-            names += [gain, offset]
+            gain, offset = Expr("name", (), f"{name} gain"), Expr("name", (), f"{name} offset")
+            names += [gain.value, offset.value]
             if name in self.file.inputs:
                 # The machine is driven by the true input, of which the column shows this much.
-                hidden = f"{name} recorded"
-                true = Expr(
-                    "+", (Expr("*", (Expr("name", (), hidden), Expr("name", (), gain))), Expr("name", (), offset))
-                )
-                derivatives = {key: _replaced(own, name, true) for key, own in derivatives.items()}
-                outputs = {key: _replaced(own, name, true) for key, own in outputs.items()}
+                hidden = Expr("name", (), f"{name} recorded")
+                driven[name] = Expr("+", (Expr("*", (hidden, gain)), offset))
             else:
-                shown = Expr("*", (outputs[name], Expr("name", (), gain)))
-                outputs[name] = Expr("+", (shown, Expr("name", (), offset)))
-        inputs = tuple(f"{name} recorded" if f"{name} gain" in names else name for name in equations.inputs)
-        return Equations(derivatives, outputs, inputs, tuple(names))
+                outputs[name] = Expr("+", (Expr("*", (outputs[name], gain)), offset))
+        inputs = tuple(f"{name} recorded" if name in driven else name for name in equations.inputs)
+        corrected = replace(equations, outputs=outputs, inputs=inputs, parameters=tuple(names))
+        return corrected.mapped(lambda own: inlined(own, driven))
 
     def _shown(self, values: Mapping[str, float], directions: Sequence[Direction]) -> tuple[list[Array], list[Array]]:
         """The simulated signal of each channel, and its (n, k) derivatives."""
@@ -273,7 +272,7 @@ class OwnPlant(Plant):
             inputs = delayed(run.inputs, [delays.get(name, 0.0) for name in self.file.inputs])
             samples, rows_of = late(run, delays)
             try:
-                shown, changes = machine.run(
+                shown, changes, *_ = machine.run(
                     numbers, start, inputs, samples, [own[k] for k in acting], run.start, self._most(run)
                 )
             except SimulationError as error:
@@ -319,10 +318,10 @@ class OwnPlant(Plant):
         if key not in self._steps:
             beside = STEPS_LEAST + STEPS_BESIDE * (len(run.samples) + len(run.inputs.times))
             try:
-                declared = self.machine(()).steps(
-                    self._numbers(run, {}, ()), self._start(run, {}), run.inputs, run.samples, run.start
+                declared = self.machine(()).run(
+                    self._numbers(run, {}, ()), self._start(run, {}), run.inputs, run.samples, start_time=run.start
                 )
-                self._steps[key] = TIMES_STEPS * declared + beside
+                self._steps[key] = TIMES_STEPS * declared.steps + beside
             except SimulationError:
                 self._steps[key] = None
         return self._steps[key]
@@ -743,12 +742,6 @@ def _compared_with(expression: Expr, name: str) -> list[str]:
         if any(side == (name,) for side in sides):
             found += [one for side in sides for one in side if one != name]
     return found + [one for own in expression.args for one in _compared_with(own, name)]
-
-
-def _replaced(expression: Expr, name: str, by: Expr) -> Expr:
-    if expression.op == "name":
-        return by if expression.value == name else expression
-    return Expr(expression.op, tuple(_replaced(own, name, by) for own in expression.args), expression.value)
 
 
 def _start_name(run: Run, state: str) -> str:

@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from valve_sim.files.plant_files import PlantFile, PlantFileError
+from valve_sim.files.plant_entries import PlantFileError
+from valve_sim.files.plant_files import PlantFile
 from valve_sim.files.recording_map import MapError
 from valve_sim.identification.plants.own import Run, delayed, inputs_of, late
 from valve_sim.identification.plants.protocol import Array
-from valve_sim.model.core.own.simulation import Machine, without_straight
-from valve_sim.model.core.own.system import EquationsError
+from valve_sim.model.core.hybrid.system import EquationsError
+from valve_sim.model.core.own.simulation import Event, Machine, without_straight
 from valve_sim.model.errors import SimulationError
 from valve_sim.traces.columns import Columns
 
 
+class Simulated(NamedTuple):
+    """Inputs and outputs over time, in the units of the file, by name; and the events with a name."""
+
+    columns: dict[str, Array]
+    events: tuple[Event, ...]
+
+
 def simulate_plant(
     file: PlantFile, recording: Columns | None, duration: float | None = None, rate: float = 1000.0
-) -> dict[str, Array]:
-    """Inputs and outputs over time, in the units of the file.
+) -> Simulated:
+    """What a plant would show.
 
     Args:
         file: the plant; states that start free start at 0. recording: of its inputs; None: it has none.
@@ -49,7 +59,7 @@ def simulate_plant(
         begins = float(min(times[0], inputs.times[0]) if len(inputs.times) else times[0])
         run = Run(0, 0, begins, acting, times, {name: np.arange(len(times)) for name in file.outputs})
         samples, rows = late(run, {name: own.delay for name, own in file.outputs.items()})
-        shown, _ = machine.run(numbers, start, acting, samples, start_time=begins)
+        shown, _, events, _ = machine.run(numbers, start, acting, samples, start_time=begins)
     except SimulationError as error:
         raise SimulationError(f"{file.path}: {error}") from error
     found = {"time": times}
@@ -62,4 +72,4 @@ def simulate_plant(
         found[name] = levels / entry.unit.factor
     for place, (name, output) in enumerate(file.outputs.items()):
         found[name] = shown[rows[name], place] / output.unit.factor
-    return found
+    return Simulated(found, events)

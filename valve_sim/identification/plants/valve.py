@@ -366,7 +366,8 @@ class ValvePlant:
         """The position sensor of a trace.
 
         Args:
-            valve: as simulated. index: of the trace. values: by name. first: the channel of the first trace's positions.
+            valve: as simulated. index: of the trace. values: by name.
+            first: the channel of the first trace's positions.
         """
         trace, sheet = self.traces[index], self.valve.tolerances.sensor
         if self._is_watched:

@@ -1,4 +1,4 @@
-"""What a correction is worth, in sentences and in report.json: errors of unseen strokes, and how far to trust each name."""
+"""What a correction is worth, in sentences and in report.json: errors of unseen strokes, how far to trust each name."""
 
 from __future__ import annotations
 
@@ -19,6 +19,8 @@ LISTED: Final = 12
 """Most conditions that are printed."""
 OVER: Final = {"x": "the position", "v": "the velocity", "t": "time"}
 """Variables of a smooth force in words; others stand as they are."""
+SEEN: Final = 1.05
+"""Factor between errors, below which nothing is said of it: another set that was fitted predicts as well."""
 IN_REACH: Final = 1.2
 """Error of the corrected model over the noise, up to which nothing is said to be left."""
 
@@ -83,7 +85,7 @@ def grade_words(own: Grade) -> str:
     title = inside_sentence(title_of(own.effect))
     words = {"named": f"Named: {title}", "acts_like": f"Acts like {title}", "possible": f"Possible: {title}"}[own.word]
     without = ""
-    if math.isfinite(own.factor):
+    if own.factor >= SEEN:
         without = f"; without it unseen strokes err {own.factor:.2g} times as much"
     alike = f"; {named(own.alike, 'or')} would do as well" if own.alike else ""
     return f"{words}{without}{alike}."

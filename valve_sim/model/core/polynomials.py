@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from typing import Any, Final, TypeAlias
 
-from valve_sim.model.core import layout as at
-
 Block: TypeAlias = Any
 """Doubles that are read and written by index; `b[n:]` begins n further on."""
 
@@ -41,8 +39,8 @@ def slope_at(b: Block, c: int, h: float, terms: int) -> float:
     return total
 
 
-def bound(p: Block, w: float, down: float) -> float:
-    """A number that a polynomial of TERMS terms, times `down`, does not fall below between 0 and w.
+def bound(p: Block, w: float, down: float, terms: int) -> float:
+    """A number that a polynomial, times `down`, does not fall below between 0 and w.
 
     The smallest Bernstein coefficient of its first terms, less the size of the others.
     """
@@ -54,7 +52,7 @@ def bound(p: Block, w: float, down: float) -> float:
     d5 = down * p[5] * w2 * w2 * w
     power = w2 * w2 * w2
     rest = 0.0
-    for k in range(FINE + 1, at.TERMS):
+    for k in range(FINE + 1, terms):
         rest += abs(p[k]) * power
         power *= w
     b0: float = down * p[0]
@@ -66,18 +64,18 @@ def bound(p: Block, w: float, down: float) -> float:
     return float(min(b0, b1, b2, b3, b4, b5) - rest)
 
 
-def first_fall(b: Block, c: int, h: float, unsure: float) -> float:
+def first_fall(b: Block, c: int, h: float, unsure: float, terms: int, p: Block) -> float:
     """When a polynomial first falls through 0, s; 2 h if it does not before h.
 
     Args:
         b, c: a block, and the slot where the coefficients of the polynomial begin.
         h: s, up to when it is followed. unsure: it falls only if it comes below −unsure.
+        terms: how many coefficients there are. p: room for twice as many.
     """
-    p = b[at.SCRATCH :]
-    slopes = b[at.SCRATCH + at.TERMS :]
+    slopes = p[terms:]
     power = 1.0
     size = 0.0
-    for k in range(at.TERMS):
+    for k in range(terms):
         p[k] = b[c + k] * power
         size += abs(p[k])
         power *= h
@@ -88,30 +86,30 @@ def first_fall(b: Block, c: int, h: float, unsure: float) -> float:
     for _ in range(MOST_TRIALS):
         if p[0] < -unsure:
             return left * h
-        for k in range(1, at.TERMS):
+        for k in range(1, terms):
             slopes[k - 1] = k * p[k]
-        slopes[at.TERMS - 1] = 0.0
-        is_sure = bound(p, width, 1.0) > -unsure
-        if not is_sure and (bound(slopes, width, -1.0) > 0.0 or width < NARROWEST):
-            if value_at(p, 0, width, at.TERMS) < -unsure:
-                return (left + root(p, 0, width, 0.0, -1.0, at.TERMS)) * h
+        slopes[terms - 1] = 0.0
+        is_sure = bound(p, width, 1.0, terms) > -unsure
+        if not is_sure and (bound(slopes, width, -1.0, terms) > 0.0 or width < NARROWEST):
+            if value_at(p, 0, width, terms) < -unsure:
+                return (left + root(p, 0, width, 0.0, -1.0, terms)) * h
             # It comes close to 0 and does not fall through.
             is_sure = True
         if is_sure:
             left += width
             if left >= 1.0:
                 return 2.0 * h
-            shift(p, width)
+            shift(p, width, terms)
             width = min(2.0 * width, 1.0 - left)
         else:
             width *= 0.5
     return 2.0 * h
 
 
-def shift(p: Block, by: float) -> None:
-    """Make a polynomial of TERMS terms one about a place further on."""
-    for i in range(at.TERMS - 1):
-        for k in range(at.TERMS - 2, i - 1, -1):
+def shift(p: Block, by: float, terms: int) -> None:
+    """Make a polynomial one about a place further on."""
+    for i in range(terms - 1):
+        for k in range(terms - 2, i - 1, -1):
             p[k] += by * p[k + 1]
 
 
@@ -142,11 +140,11 @@ def root(b: Block, c: int, h: float, target: float, way: float, terms: int) -> f
     return here
 
 
-def extent(b: Block, c: int, h: float) -> float:
+def extent(b: Block, c: int, h: float, terms: int) -> float:
     """The size of a polynomial up to h: the sum of the sizes of its terms."""
     total = 0.0
     power = 1.0
-    for k in range(at.TERMS):
+    for k in range(terms):
         total += abs(b[c + k]) * power
         power *= h
     return total

@@ -139,7 +139,7 @@ def bring_near(b: Block, c: int, least: float) -> None:
     """Shorten the step until a polynomial is within FARTHEST of its size nearby, or of the least that counts."""
     while b[at.STEP] > LONG:
         near = abs(b[c]) + abs(b[c + 1]) * b[at.STEP] + least
-        if near == 0.0 or extent(b, c, b[at.STEP]) <= FARTHEST * near:
+        if near == 0.0 or extent(b, c, b[at.STEP], at.TERMS) <= FARTHEST * near:
             return
         b[at.STEP] = 0.25 * b[at.STEP]
 
@@ -284,7 +284,7 @@ def first_event(b: Block, t: Block) -> int:
     """The first event in a step, to whose time the step is shortened."""
     ends = first_of_motion(b) if b[at.MOVING] > 0.0 else first_of_rest(b)
     if b[at.FREEWHEELS] != 0.0:
-        gone = first_fall(b, at.GUARD + 2 * at.TERMS, b[at.STEP], 0.0)
+        gone = first_fall(b, at.GUARD + 2 * at.TERMS, b[at.STEP], 0.0, at.TERMS, b[at.SCRATCH :])
         if gone < b[at.STEP]:
             b[at.STEP] = gone
             ends = at.CURRENT_GONE
@@ -296,7 +296,7 @@ def first_event(b: Block, t: Block) -> int:
         if b[c] < 0.0 < b[c + 1] and (is_new or -b[c] < RECOVERS * b[c + 1] * latest):
             # It has just changed, and the state is off the root of the series before by rounding.
             b[c] = 0.0
-        changes = first_fall(b, c, latest, ROUNDING * extent(b, c, latest))
+        changes = first_fall(b, c, latest, ROUNDING * extent(b, c, latest, at.TERMS), at.TERMS, b[at.SCRATCH :])
         if changes < latest:
             b[at.STEP] = changes
             ends = at.FLAGGED + guard
@@ -311,7 +311,7 @@ def first_of_motion(b: Block) -> int:
         b[at.GUARD + k] = b[at.DIRECTION] * (k + 1) * b[at.SERIES_X + k + 1]
     ends = at.NO_EVENT
     x = b[at.END_X]
-    turn = first_fall(b, at.GUARD, b[at.STEP], OWN_ERROR * b[at.TOLERANCE])
+    turn = first_fall(b, at.GUARD, b[at.STEP], OWN_ERROR * b[at.TOLERANCE], at.TERMS, b[at.SCRATCH :])
     if turn < b[at.STEP]:
         b[at.STEP] = turn
         ends = at.TURN
@@ -325,11 +325,11 @@ def first_of_motion(b: Block) -> int:
 def first_of_rest(b: Block) -> int:
     """The direction, if any, in which plungers at rest are first pushed off in a step."""
     ends = at.NO_EVENT
-    rise = first_fall(b, at.GUARD, b[at.STEP], ROUNDING)
+    rise = first_fall(b, at.GUARD, b[at.STEP], ROUNDING, at.TERMS, b[at.SCRATCH :])
     if rise < b[at.STEP]:
         b[at.STEP] = rise
         ends = at.RISE
-    fall = first_fall(b, at.GUARD + at.TERMS, b[at.STEP], ROUNDING)
+    fall = first_fall(b, at.GUARD + at.TERMS, b[at.STEP], ROUNDING, at.TERMS, b[at.SCRATCH :])
     if fall < b[at.STEP]:
         b[at.STEP] = fall
         ends = at.FALL

@@ -5,7 +5,8 @@
     unary    = ("+" | "-") unary | power
     power    = atom ["**" signed number]
     atom     = number | name | name "(" sum {"," sum} ")" | "(" sum ")"
-    where    = "where(" sum (">" | "<" | ">=" | "<=") sum "," sum "," sum ")"
+    where    = "where(" comparison "," sum "," sum ")"
+    comparison = sum (">" | "<" | ">=" | "<=") sum | region "==" mode
 
 Length, depth and the count of operations are bounded, so that no text can take long to read or to compile.
 """
@@ -15,7 +16,8 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, Final, NamedTuple
+from types import MappingProxyType
+from typing import Any, Final, NamedTuple, TypeAlias
 
 from valve_sim.model.core import tracer
 from valve_sim.model.errors import ValveError
@@ -35,7 +37,7 @@ FUNCTIONS: Final[Mapping[str, tuple[int, int]]] = {
 """Name to the least and the largest count of arguments."""
 _TOKEN: Final = re.compile(
     r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|(?P<name>[A-Za-z_][A-Za-z_0-9]*)"
-    r"|(?P<mark>\*\*|>=|<=|[-+*/(),<>]))"
+    r"|(?P<mark>\*\*|>=|<=|==|[-+*/(),<>]))"
 )
 _MENDS: Final = {
     "^": "powers are written **",
@@ -68,13 +70,33 @@ class Expr(NamedTuple):
     value: Any = None
 
 
-def parse(text: str) -> Expr:
+Modes: TypeAlias = Mapping[str, tuple[str, int]]
+"""Modes of a machine: the region of each, and its number there."""
+
+
+def parse(text: str, modes: Modes = MappingProxyType({})) -> Expr:
     """The expression that a text is.
 
     Raises:
         ExpressionError: it is none; the message says what was found and what to write.
     """
-    return _Parser(text).whole()
+    return _Parser(text, modes).whole()
+
+
+def parse_comparison(text: str, modes: Modes = MappingProxyType({})) -> Expr:
+    """The comparison, ">" of two sides, that a text is; errors as of `parse`."""
+    return _Parser(text, modes).whole_comparison()
+
+
+def excess_of(comparison: Expr) -> Expr:
+    """What is above 0 while a comparison holds."""
+    a, b = comparison.args
+    return a if b == Expr("number", (), 0.0) else Expr("-", (a, b))
+
+
+def is_constant(expression: Expr) -> bool:
+    """Whether an expression is a number, or its negative."""
+    return expression.op == "number" or (expression.op == "neg" and expression.args[0].op == "number")
 
 
 def names_in(expression: Expr) -> tuple[str, ...]:
@@ -183,7 +205,8 @@ _MADE: Final[Mapping[str, Callable[..., tracer.Expression]]] = {
 class _Parser:
     """Reads one expression."""
 
-    def __init__(self, text: str) -> None:
+    def __init__(self, text: str, modes: Modes) -> None:
+        self._modes = modes
         if len(text) > LONGEST:
             raise ExpressionError(f"is {len(text)} characters long, expected at most {LONGEST}; name parts of it")
         self._text, self._count, self._depth = text, 0, 0
@@ -194,7 +217,15 @@ class _Parser:
         """The expression, of which nothing may be left."""
         if not self._tokens:
             raise ExpressionError("is empty, expected an expression such as (force - viscous*v)/mass")
-        found = self._sum()
+        return self._ended(self._sum())
+
+    def whole_comparison(self) -> Expr:
+        """The comparison, of which nothing may be left."""
+        if not self._tokens:
+            raise ExpressionError("is empty, expected a comparison such as x < 0")
+        return self._ended(self._compared("x < 0"))
+
+    def _ended(self, found: Expr) -> Expr:
         if self._place < len(self._tokens):
             self._fail("expected an operator or the end")
         return found
@@ -217,7 +248,7 @@ class _Parser:
             place = f" after {before}" if before else ""
         else:
             found, place = "the end", ""
-        if found in ("'>'", "'<'", "'>='", "'<='"):
+        if found in ("'>'", "'<'", "'>='", "'<='", "'=='"):
             expected = "comparisons stand first in where(a > b, y, z) alone"
         raise ExpressionError(f"found {found}{place} in {_short(self._text)}; {expected}")
 
@@ -329,7 +360,7 @@ class _Parser:
             self._place -= 1
             self._fail(f"there is no function {name}; expected one of {', '.join(FUNCTIONS)}")
         self._next()
-        args = [self._compared() if name == "where" else self._sum()]
+        args = [self._compared("where(a > b, y, z)") if name == "where" else self._sum()]
         while self._is(","):
             self._next()
             args.append(self._sum())
@@ -340,13 +371,27 @@ class _Parser:
             raise ExpressionError(f"found {name} with {len(args)} values, expected {expected}")
         return self._made(name, tuple(args))
 
-    def _compared(self) -> Expr:
+    def _compared(self, expected: str) -> Expr:
         left = self._sum()
+        if self._is("=="):
+            return self._in_mode(left)
         if not self._is(">", "<", ">=", "<="):
-            self._fail("expected a comparison: where(a > b, y, z)")
+            self._fail(f"expected a comparison: {expected}")
         op = self._next()
         right = self._sum()
         return self._made(">", (left, right) if op[0] == ">" else (right, left))
+
+    def _in_mode(self, region: Expr) -> Expr:
+        """Whether a mode is in force: its number is less than a half off that of its region's mode."""
+        self._next()
+        mode = self._next() if self._place < len(self._tokens) else ""
+        if region.op != "name" or self._modes.get(mode, ("", 0))[0] != region.value:
+            self._place -= 1
+            some = next(iter(self._modes), "")
+            mend = f": {self._modes[some][0]} == {some}" if some else ", of which there are none here"
+            self._fail(f"== compares a region with one of its modes{mend}; two numbers never stay equal")
+        off = self._made("-", (region, self._made("number", (), float(self._modes[mode][1]))))
+        return self._made(">", (self._made("number", (), 0.25), self._made("*", (off, off))))
 
 
 def _short(text: str) -> str:

@@ -2,34 +2,27 @@
 
 from __future__ import annotations
 
-import ctypes
+import math
 from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.model.core import machine
-from valve_sim.model.core.lowering import lowered
-from valve_sim.model.core.own import driver
-from valve_sim.model.core.own import layout as at
-from valve_sim.model.core.own.kernels import Kernels
-from valve_sim.model.core.own.system import Equations, EquationsError, System, build
+from valve_sim.model.core.hybrid import driver
+from valve_sim.model.core.hybrid.compiled import TOLERANCE, Array, Changes, Compiled, Run
+from valve_sim.model.core.hybrid.system import System
+from valve_sim.model.core.own.equations import Equations
 from valve_sim.model.errors import SimulationError
 
-Array = NDArray[np.float64]
-
-TOLERANCE: Final = 1e-9
-"""Relative error of a step, of the largest size that a state has had so far."""
 STEPS_EACH: Final = 200
 """Steps that a run may take for each knot and sample, and `STEPS_MORE` besides: a stiff machine takes more."""
 STEPS_MORE: Final = 200_000
 WIDTHS: Final = (0, 4, 8, 12, 16)
 """Directions of derivatives that kernels are compiled for; more are taken in several runs."""
-LIMITS: Final = (
-    ("states", at.MOST_STATES), ("inputs", at.MOST_INPUTS), ("outputs", at.MOST_OUTPUTS),
-    ("parameters", at.MOST_NUMBERS),
-)  # fmt: skip
+
+MOST_DRIVEN: Final = 256
+"""Inputs whose changes are kept."""
 
 
 class Inputs(NamedTuple):
@@ -45,43 +38,42 @@ class Inputs(NamedTuple):
     held: NDArray[np.bool_]
 
 
+class Event(NamedTuple):
+    """A transition that happened: when, s, and its name in the file."""
+
+    time: float
+    name: str
+
+
+class Shown(NamedTuple):
+    """What a run shows.
+
+    Attributes:
+        outputs: (n, outputs) in SI. slopes: (n, outputs, directions). events: those with a name. steps: that it took.
+    """
+
+    outputs: Array
+    slopes: Array
+    events: tuple[Event, ...]
+    steps: int
+
+
 class Machine:
     """The compiled equations of a machine with some of its effects on.
 
     Args:
-        equations: what it does. free: names of parameters and inputs that derivatives may be taken to.
+        equations: what it does. free: names of parameters that derivatives may be taken to.
 
     Raises:
-        EquationsError: there are more states, switches and so on than the integrator has room for.
+        EquationsError: there are more states, switches and so on than the engine has room for.
     """
 
     def __init__(self, equations: Equations, free: Sequence[str]) -> None:
-        self.system: System = build(equations)
-        system = self.system
-        for what, most in LIMITS:
-            count = len(getattr(system, what))
-            if count > most:
-                raise EquationsError(f"found {count} {what}, expected at most {most}")
-        if len(system.guards) > at.MOST_GUARDS:
-            raise EquationsError(f"found {len(system.guards)} switches, expected at most {at.MOST_GUARDS}")
+        self.equations = equations
+        self._system = System(equations.described())
         self._free = tuple(free)
-        self._libraries: dict[int, machine.Library] = {}
-
-    def _library(self, width: int) -> machine.Library:
-        if width not in self._libraries:
-            key = f"own {self.system.trace.digest()} {self._signature()} {width}"
-            self._libraries[width] = machine.library(
-                key, lambda: Kernels(self.system, self._free, width).text(), is_straight=True
-            )
-        return self._libraries[width]
-
-    def _signature(self) -> str:
-        system = self.system
-        groups = (
-            system.rates, system.outputs, system.guards, system.alphas, system.sliding_rates, system.sliding_outputs
-        )  # fmt: skip
-        indices = [[node.index for node in group] for group in groups]
-        return f"{indices} {system.states} {system.inputs} {system.parameters} {system.sliding} {self._free}"
+        self._compiled: dict[int, Compiled] = {}
+        self._driven: dict[tuple[int, float], tuple[Inputs, Changes]] = {}
 
     def run(
         self,
@@ -92,7 +84,8 @@ class Machine:
         directions: Sequence[Mapping[str, float]] = (),
         start_time: float | None = None,
         most: int | None = None,
-    ) -> tuple[Array, Array]:
+        tolerance: float = TOLERANCE,
+    ) -> Shown:
         """What the outputs are at some times.
 
         Args:
@@ -102,88 +95,88 @@ class Machine:
                 a state's name stands for its start.
             start_time: s; default the first sample or the first time of the inputs, whichever is earlier.
             most: steps that it may take; default so many that hardly any equations need more.
-
-        Returns:
-            (n, outputs) in SI, and (n, outputs, directions).
+            tolerance: relative error of a step, of the largest size that a state has had so far.
 
         Raises:
             SimulationError: a number is not finite, or the run takes too many steps.
         """
         if not len(samples):
-            return np.empty((0, len(self.system.outputs))), np.empty((0, len(self.system.outputs), len(directions)))
-        shown, columns = np.empty(0), []
-        width = WIDTHS[-1]
-        parts = [directions[i : i + width] for i in range(0, len(directions), width)] or [()]
-        for part in parts:
-            shown, slopes, _ = self._run(numbers, start, inputs, samples, part, start_time, most)
-            columns.append(slopes[:, :, : len(part)])
-        return shown, np.concatenate(columns, axis=2)
-
-    def steps(
-        self, numbers: Mapping[str, float], start: Mapping[str, float], inputs: Inputs, samples: Array,
-        start_time: float | None = None,
-    ) -> int:  # fmt: skip
-        """How many steps a run takes; arguments and errors as of `run`."""
-        return self._run(numbers, start, inputs, samples, (), start_time, None)[2] if len(samples) else 0
-
-    def _run(
-        self, numbers: Mapping[str, float], start: Mapping[str, float], inputs: Inputs, samples: Array,
-        directions: Sequence[Mapping[str, float]], start_time: float | None, most: int | None,
-    ) -> tuple[Array, Array, int]:  # fmt: skip
-        system = self.system
-        width = next(own for own in WIDTHS if own >= len(directions))
-        library = self._library(width)
-        block, tangents = np.zeros(at.SIZE), np.zeros(at.SIZE * max(width, 1))
-        names = ("move", "slide", "at", "look", "row")
-        for slot, name in zip((at.MOVE, at.SLIDE, at.AT, at.LOOK, at.ROW), names, strict=True):
-            block[slot : slot + 1].view(np.int64)[0] = library.address(name)
-        begins = min(samples[0], inputs.times[0]) if len(inputs.times) else samples[0]
-        block[at.TIME] = begins if start_time is None else start_time
-        block[at.TOLERANCE] = TOLERANCE
-        block[at.STATES], block[at.GUARDS] = len(system.states), len(system.guards)
-        block[at.OUTPUTS], block[at.INPUTS] = len(system.outputs), len(system.inputs)
-        block[at.SLIDING], block[at.WIDTH] = len(system.sliding), width
-        for k, (guard, snap) in enumerate(zip(system.sliding, system.snaps, strict=True)):
-            block[at.SLIDE_GUARD + k] = guard
-            block[at.SNAP + k] = -1 if snap is None else system.states.index(snap)
-        slots = {name: at.STATE + i for i, name in enumerate(system.states)}
-        slots |= {name: at.NUMBERS + i for i, name in enumerate(system.parameters)}
-        for name, slot in slots.items():
-            block[slot] = start[name] if slot < at.END else numbers[name]
-        for i, name in enumerate(system.states):
-            block[at.PEAK + i] = abs(start[name])
-        for column, direction in enumerate(directions):
-            for name, by in direction.items():
-                if name in slots:
-                    tangents[slots[name] * width + column] = by
-        if not np.all(np.isfinite(block[at.STATE : at.END])) or not np.all(np.isfinite(block[at.NUMBERS :])):
-            raise SimulationError("a parameter or a state at the start is not finite")
-        levels = np.ascontiguousarray(inputs.levels, dtype=np.float64)
-        knots, held = np.ascontiguousarray(inputs.times, dtype=np.float64), inputs.held.astype(np.float64)
+            outputs = len(self.equations.outputs)
+            return Shown(np.empty((0, outputs)), np.empty((0, outputs, len(directions))), (), 0)
         samples = np.ascontiguousarray(samples, dtype=np.float64)
-        out = np.zeros((len(samples), len(system.outputs)))
-        slopes = np.zeros((len(samples), len(system.outputs), max(width, 1)))
-        steps = STEPS_MORE + STEPS_EACH * (len(knots) + len(samples)) if most is None else most
-        arrays = (block, tangents, knots, levels, held, samples, out, slopes)
-        outcome = _driver()(*(array.ctypes.data for array in arrays), len(knots), len(samples), steps)
-        if outcome == driver.TOO_MANY:
+        begins = min(samples[0], inputs.times[0]) if len(inputs.times) else samples[0]
+        changes = self._changes(inputs, float(begins if start_time is None else start_time))
+        states = np.array([start[name] for name in self.equations.derivatives])
+        values = np.array([numbers[name] for name in self.equations.parameters])
+        if not math.isfinite(states.sum() + values.sum()):
+            raise SimulationError("a parameter or a state at the start is not finite")
+        if most is None:
+            most = STEPS_MORE + STEPS_EACH * (changes.count + len(samples))
+        runs = []
+        for first in range(0, len(directions), WIDTHS[-1]) or (0,):
+            part = directions[first : first + WIDTHS[-1]]
+            compiled = self._with_width(next(own for own in WIDTHS if own >= len(part)))
+            runs.append(compiled.run(states, values, part, changes, samples, most, tolerance))
+            self._check(runs[-1])
+        if len(runs) == 1:
+            return Shown(runs[0].outputs, runs[0].slopes, self._events(runs[0].events), runs[0].steps)
+        slopes = np.concatenate([done.slopes for done in runs], axis=2)
+        return Shown(runs[0].outputs, slopes, self._events(runs[0].events), runs[0].steps)
+
+    def _changes(self, inputs: Inputs, time: float) -> Changes:
+        """What inputs do from a time on, s; known of those that drive it again and again."""
+        key = id(inputs), time
+        found = self._driven.get(key)
+        if found is None or found[0] is not inputs:
+            if len(self._driven) >= MOST_DRIVEN:
+                self._driven.clear()
+            found = self._driven[key] = inputs, Changes(_changes(inputs, time))
+        return found[1]
+
+    def _with_width(self, width: int) -> Compiled:
+        if width not in self._compiled:
+            self._compiled[width] = Compiled(self._system, self._free, width)
+        return self._compiled[width]
+
+    def _events(self, events: Array) -> tuple[Event, ...]:
+        transitions = self.equations.transitions
+        found = [Event(float(time), transitions[int(which)].cases[int(case)].event) for time, which, case in events]
+        return tuple(event for event in found if event.name)
+
+    def _check(self, done: Run) -> None:
+        if done.outcome == driver.TOO_MANY:
             raise SimulationError(
-                f"{steps:,} steps did not reach the end: the equations are too fast for the recording"
+                f"{done.steps:,} steps did not reach the end: the equations are too fast for the recording"
             )
-        if outcome == driver.NOT_FINITE or not np.all(np.isfinite(out)):
-            raise SimulationError(f"a state or output is not finite from {block[at.TIME]:.6g} s on")
-        return out, slopes, int(block[at.TAKEN])
+        if done.outcome == driver.STANDS_STILL:
+            last = [int(which) + 1 for _, which, _ in done.events[-driver.MOST_STALLED // 2 :]]
+            which = f"transitions {', '.join(map(str, sorted(set(last))))} of the file" if last else "its switches"
+            raise SimulationError(
+                f"time stands still at {done.time:.6g} s: {which} happen again and again; "
+                "add a mode in which the machine rests"
+            )
+        if done.outcome == driver.NOT_FINITE or not np.all(np.isfinite(done.outputs)):
+            raise SimulationError(f"a state or output is not finite from {done.time:.6g} s on")
 
 
-@machine.made_once
-def _loaded() -> machine.Library:
-    return machine.library("own driver", lambda: lowered(driver.FUNCTIONS, ("run",)))
-
-
-@machine.made_once
-def _driver():  # type: ignore[no-untyped-def]
-    pointers, integers = [ctypes.c_void_p] * 8, [ctypes.c_int64] * 3
-    return ctypes.CFUNCTYPE(ctypes.c_int64, *pointers, *integers)(_loaded().address("run"))
+def _changes(inputs: Inputs, time: float) -> Array:
+    """(k, 1 + 2 inputs) from a time on, s: when inputs change, and from then on a value and a slope of each."""
+    times, levels, held = inputs
+    count = len(held)
+    if not len(times):
+        return np.array([[time] + [0.0] * (2 * count)])
+    slopes = np.zeros((len(times), count))
+    slopes[:-1, ~held] = (np.diff(levels, axis=0) / np.diff(times)[:, None])[:, ~held]
+    first = max(0, int(np.searchsorted(times, time, side="right")) - 1)
+    changes = np.empty((len(times) - first, 1 + 2 * count))
+    changes[:, 0], changes[:, 1::2], changes[:, 2::2] = times[first:], levels[first:], slopes[first:]
+    begun = time - times[first]
+    if begun < 0.0:  # before the first time they are as they begin
+        before = np.concatenate([[time], np.column_stack([levels[0], np.zeros(count)]).ravel()])
+        return np.vstack([before, changes])
+    changes[0, 0] = time
+    changes[0, 1::2] += begun * slopes[first]
+    return changes
 
 
 def without_straight(inputs: Inputs) -> Inputs:
