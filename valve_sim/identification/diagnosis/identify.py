@@ -265,8 +265,8 @@ def fit_beside_errors(
         say: told the progress, to 0.3.
 
     Returns:
-        The fit, and the probability that something unnamed acts beside it, where that is likely; else 0. Errors are then
-        as large as they are before the data are asked.
+        The fit, and the probability that something unnamed acts beside it, where that is likely; else 0. Errors are
+        then as large as they are before the data are asked.
 
     Raises:
         SimulationError: the declared machine cannot be simulated.

@@ -51,9 +51,9 @@ class Verdict:
     """What is claimed; the fields but the last five are those of report.json.
 
     Attributes:
-        kind: "none"; "effects": all that is corrected is named; "partly": a correction is applied, and its names are not
-            certain or something unnamed is left; "unknown": something acts, and nothing that was tried predicts unseen
-            strokes better; "insufficient": the recordings cannot tell.
+        kind: "none"; "effects": all that is corrected is named; "partly": a correction is applied, and its names are
+            not certain or something unnamed is left; "unknown": something acts, and nothing that was tried predicts
+            unseen strokes better; "insufficient": the recordings cannot tell.
         effects: what is corrected; of "unknown" and "insufficient" the nearest names, which are not claimed.
         confusable_with: of each, what would do in its place.
         probability: posterior, of what is claimed: of "effects" and "insufficient" that the set or its class acts, of
@@ -170,7 +170,8 @@ class Diagnosis:
         rivals: of a valve that is seen through its current alone, models that leave its positions open.
         choice: which strokes of a long recording were looked at; None for all of them.
         grounds: the table of evidence from which verdict and probabilities follow.
-        correction: what predicts unseen strokes best, applied or not. grades: of each of its names, how far to trust it.
+        correction: what predicts unseen strokes best, applied or not.
+        grades: of each of its names, how far to trust it.
     """
 
     plant: Plant

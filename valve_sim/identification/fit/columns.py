@@ -1,8 +1,8 @@
 """The errors of a recording as unknowns: coefficients of columns, and numbers of the machine that vary.
 
-What a sensor shows is the truth, noise, and B b, with coefficients b ~ N(0, s²) of columns B that each kind of error has
-(`errors`): drift, hum, scale, bend, ringing. What varies of the machine from stroke to stroke, and the resistance of its
-source, are numbers of the machine with the same kind of prior. The sizes s are learned beside a model.
+What a sensor shows is the truth, noise, and B b, with coefficients b ~ N(0, s²) of columns B that each kind of error
+has (`errors`): drift, hum, scale, bend, ringing. What varies of the machine from stroke to stroke, and the resistance
+of its source, are numbers of the machine with the same kind of prior. The sizes s are learned beside a model.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ class Columns:
     Attributes:
         unknowns: coefficients of columns, in the order of the columns. varying: what acts on the machine.
         samples: by the index of a channel, (n, q) what its coefficients of size 1 add to each of its samples.
-        first: by the index of a channel, the number of its first column. modes: of the mounts of the sensors, by channel.
+        first: by the index of a channel, the number of its first column.
+        modes: of the mounts of the sensors, by channel.
         spans: by the index of a channel, the range of its sensor, in the channel's unit.
     """
 

@@ -1,4 +1,4 @@
-"""Which correction predicts strokes that it has not seen, whatever its names: theory, section 8.
+"""Which correction predicts strokes that it has not seen, whatever its names: theory, section 9.
 
     score every set that was fitted, and one smooth curve in its place: ln of the error of each condition, left out
     the posterior's set, where its form is right, its class sure, and nothing predicts clearly better; else
@@ -340,12 +340,13 @@ class Correction:
     """A correction by prediction.
 
     Attributes:
-        names: what is corrected, or the name of a curve; what would be, where it is not applied. by: what has chosen it.
-        is_applied: whether it is to be used.
+        names: what is corrected, or the name of a curve; what would be, where it is not applied.
+        by: what has chosen it. is_applied: whether it is to be used.
         conditions: errors of what is left out. is_refitted: whether by real refits, and not from the sums alone.
         noise: of the response, in its unit. predicted: what the posterior expects of the error after.
         alternatives: other sets that predict as well. spread: rms of how far these differ on the recorded strokes.
-        channels: by kind. scores, tried: of all sets. parts: what was left out. cut_short: what the budget did not allow.
+        channels: by kind. scores, tried: of all sets. parts: what was left out.
+        cut_short: what the budget did not allow.
     """
 
     names: Set
@@ -492,7 +493,7 @@ def _refits(fitter: Fitter, names: Set, fit: Descended, parts: Sequence[Part]) -
 
 
 def _predicted(scoring: Scoring, names: Set) -> float:
-    """What the posterior expects of the error of unseen conditions, in the response's unit; nan where none is left out."""
+    """What the posterior expects of the error of unseen conditions, in the response's unit; nan where none are."""
     if names not in scoring.scores:
         return math.nan
     tried = scoring.tried[names]

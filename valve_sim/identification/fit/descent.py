@@ -1,4 +1,4 @@
-"""One descent: Gauss–Newton with Levenberg's damping, within ranges; columns of errors are at their best all the way."""
+"""One descent: Gauss–Newton with Levenberg's damping, within ranges; columns of errors are always at their best."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ class Descended:
     """Where a descent ended.
 
     Attributes:
-        gaussian: there. converged: whether nothing is left to be gained. least: a bound of the criterion, had it gone on.
-        damping: λ of the next step.
+        gaussian: there. converged: whether nothing is left to be gained.
+        least: a bound of the criterion, had it gone on. damping: λ of the next step.
     """
 
     gaussian: Gaussian

@@ -56,7 +56,7 @@ def _short(own: Unknown) -> str:
 
 
 def _sigmas(fitter: Fitter, tried: Tried, own: Hypothesis) -> dict[str, float]:
-    """Standard error of each switch alone, while it is small, in its coordinate; of a released value with its tolerance.
+    """Standard error of each small switch alone, in its coordinate; of a released value with its tolerance.
 
     Of the signs that it may have, and of a small move and the tangent, that counts which shows less: along a move in
     which the residuals bend an effect would show more than it does.

@@ -1,10 +1,11 @@
 """Fits of sets of hypotheses to one problem, and what they are worth beside the errors of its recordings.
 
-    fit {}; read drift and hum at rest; learn the sizes of all other errors beside it, or forget them if something is left
+    fit {}; read drift and hum at rest
+    learn the sizes of all other errors beside it, or forget them if something is left
     later: learn them again beside a set, and fit again what may come near
 
-Large errors would imitate what a model lacks, most of all numbers of the machine that vary from stroke to stroke. So they
-are learned beside a model only that leaves nothing unnamed.
+Large errors would imitate what a model lacks, most of all numbers of the machine that vary from stroke to stroke. So
+they are learned beside a model only that leaves nothing unnamed.
 """
 
 from __future__ import annotations
@@ -57,7 +58,8 @@ class Tried:
 
     Attributes:
         fit: without a process. plain: ln p(data | set). spread: the same with something unnamed beside it.
-        is_fitted: whether the fit was carried to its end. beside: the fit beside something unnamed; None: that is `fit`.
+        is_fitted: whether the fit was carried to its end.
+        beside: the fit beside something unnamed; None: that is `fit`.
     """
 
     fit: Descended

@@ -4,10 +4,11 @@ About a place z the criterion is
 
     Q(d) = c + 2 gᵀ d + dᵀ M d
 
-over steps d of what moves and of coefficients of columns, with the data's products and the priors' curvatures in M. From it follow
-the steps of a descent, the evidence (Laplace's, within the ranges), the sizes of groups, covariances, and what an addition would gain;
-and, with a random process in the covariance of the residuals, all of these beside something without a name. Columns are at
-their best wherever the rest is: they are taken out by a Schur complement.
+over steps d of what moves and of coefficients of columns, with the data's products and the priors' curvatures in M.
+From it follow the steps of a descent, the evidence (Laplace's, within the ranges), the sizes of groups, covariances,
+and what an addition would gain; and, with a random process in the covariance of the residuals, all of these beside
+something without a name. Columns are at their best wherever the rest is: they are taken out by a Schur complement.
+(Theory, eqs. (36) to (40).)
 """
 
 from __future__ import annotations
@@ -302,7 +303,7 @@ class Gaussian:
         return found
 
     def log_integral(self, names: Iterable[str] | None = None) -> float:
-        """Ln of the integral over the sizes of some groups, over the integrand here: evidence is this and `log_evidence`."""
+        """Ln of the integral over the sizes of some groups, over the integrand here; `log_evidence` is without it."""
         chosen = None if names is None else set(names)
         total = 0.0
         for name, (group, places) in self.groups.items():
@@ -338,7 +339,7 @@ class Gaussian:
             found += (along * (weights @ factors)) @ along.T + shifts.T @ (weights[:, None] * shifts)
         return found
 
-    # -- beside a process, and beside what is not in it ------------------------------------------------------------------
+    # -- beside a process, and beside what is not in it ----------------------------------------------------------------
 
     def spread(self, process: Process) -> Spread:
         """The evidence with something unnamed beside the model, summed over τ and ℓ."""
@@ -370,7 +371,7 @@ class Gaussian:
         return Spread(total, Cell(float(TAUS[int(best[0])]), int(best[1])), mean)
 
     def beyond(self, columns: Array) -> tuple[Array, Array]:
-        """(q, q) and (q,): products of (r, q) further columns, and with the residuals, of what nothing here can follow."""
+        """(q, q), (q,): products of (r, q) further columns, and with the residuals, of what nothing here can follow."""
         moved, fixed = gram(self.sums.moved, columns), gram(self.sums.fixed, columns)
         cross = np.vstack([moved[:-1], fixed])
         solved = self.inverse @ np.column_stack([cross, self.g])

@@ -1,4 +1,4 @@
-"""How far each name of a correction is to be believed: theory, section 8.
+"""How far each name of a correction is to be believed: theory, section 9.
 
     named       the posterior is sure of its class, nothing unnamed acts, and unseen conditions do not contradict
     acts like   without it and its look-alikes every set and curve that was fitted errs more on unseen conditions

@@ -201,8 +201,8 @@ class HeldOut:
     def log_odds_of_unnamed(self, result: Fit) -> float:
         """Ln of the factor by which held-out data raise the odds that something unnamed acts; never below 0.
 
-        What the training data leave open of the machine is nothing unnamed: it may move within its posterior. A model of
-        another form fails in one of two ways: it leaves something, or its values do not carry over, and lie many of
+        What the training data leave open of the machine is nothing unnamed: it may move within its posterior. A model
+        of another form fails in one of two ways: it leaves something, or its values do not carry over, and lie many of
         their standard deviations elsewhere.
         """
         there = self.fit(result)
@@ -212,8 +212,10 @@ class HeldOut:
         if within is None or elsewhere is None:
             return 0.0
         failures = [
-            within.spread(self.process).log_evidence, elsewhere.log_evidence, elsewhere.spread(self.process).log_evidence
-        ]  # fmt: skip
+            within.spread(self.process).log_evidence,
+            elsewhere.log_evidence,
+            elsewhere.spread(self.process).log_evidence,
+        ]
         return max(0.0, float(np.logaddexp.reduce(failures)) - math.log(len(failures)) - within.log_evidence)
 
     def _about(self, result: Fit, there: Fit, spread: float) -> Gaussian | None:

@@ -1,4 +1,4 @@
-"""Predictions of strokes that a fit has not seen, from the sums of one linearisation: theory, section 8.
+"""Predictions of strokes that a fit has not seen, from the sums of one linearisation: theory, section 9.
 
 Without a group of strokes the data's products lack those of its rows, so that each group costs two factorisations and
 no simulation. The machine, scale and bend of a sensor, the supply and what varies of the machine come from the other

@@ -40,7 +40,7 @@ def free_of_prior(own: Unknown) -> Unknown:
 
 
 def columns_like(result: Fit, problem: Problem, machine: Mapping[str, float]) -> Columns:
-    """The errors that other recordings of the same sensors may have: their mounts ring in the modes that a fit has found.
+    """The errors that other recordings of the same sensors may have: mounts ring in the modes that a fit has found.
 
     Raises:
         SimulationError: the machine cannot be simulated.

@@ -1,8 +1,8 @@
 """The score test of every hypothesis that a fit leaves out: the odds that adding it would have, to first order.
 
 The sensitivity to an effect is one simulation with a little of it on. What the fit can do of it is projected out; the
-rest says where the effect's amplitude would come to, how certain it would be, and with its prior what the evidence would
-gain (Rao's score test, with Laplace's volume). It costs one simulation for each effect, size and shape.
+rest says where the effect's amplitude would come to, how certain it would be, and with its prior what the evidence
+would gain (Rao's score test, with Laplace's volume). It costs one simulation for each effect, size and shape.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Move(NamedTuple):
 
 
 def log_gains(fitter: Fitter, base: Set, tried: Tried) -> dict[str, float]:
-    """Gain of ln p by each hypothesis that is not in a fitted set, to first order; the largest over sizes and shapes."""
+    """Gain of ln p by each hypothesis not in a fitted set, to first order; the largest over sizes and shapes."""
     gaussian = tried.fit.gaussian
     found: dict[str, float] = {}
     columns: list[Array] = []

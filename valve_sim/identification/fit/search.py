@@ -5,13 +5,14 @@
         B = the most probable set of that size
         fit B with each addition that the score test finds promising; with each, where something unnamed acts beside B;
         sets that are nearly as probable as B with what the score test finds beside them
-            the best again from other shapes and around; sets within it from where it ended; its look-alikes; its members swapped
+            the best again from other shapes and around; sets within it from where it ended
+            its look-alikes; its members swapped
         stop where none is more probable than B, or where a smooth curve explains more than two names
         learn the errors again beside the best; where that explains more: fit again what may come near
     fit what is near the best again beside a process, where something unnamed may act
 
-Work is counted in simulated strokes, never by a clock, so that a busy machine finds what a quiet one does. What it would
-still have fitted when the work is used up is left in the table with the best evidence found.
+Work is counted in simulated strokes, never by a clock, so that a busy machine finds what a quiet one does. What it
+would still have fitted when the work is used up is left in the table with the best evidence found.
 """
 
 from __future__ import annotations
@@ -281,6 +282,10 @@ class Search:
             fit = self.fitter.descended(model, _values(fit), goal=goal, damping=fit.damping) or fit
         keeps = (fit.converged and fit.cost < goal) or not explained
         found = self.fitter.weighed(names, fit, is_fitted=keeps, spreads=keeps or spreads)
+        if not keeps and best is not None and self.log_weight_of(names, found) > self.log_weight(best) - REFITTED:
+            # Errors of the recordings that suit it make up for its cost.
+            fit, keeps = self.fitter.descended(model, _values(fit)) or fit, True
+            found = self.fitter.weighed(names, fit)
         (self.tried if keeps else self.begun)[names] = found
 
     def _starts(self, names: Set) -> list[Start]:

@@ -51,8 +51,8 @@ class Group:
 
     Attributes:
         key: the channel, by its index, or the name of what varies; `error`: which error of a recording it is.
-        scale: of the prior of s, in the unit of the coordinates. law: half a Cauchy density, half a normal one, or none:
-            s is the scale.
+        scale: of the prior of s, in the unit of the coordinates.
+        law: half a Cauchy density, half a normal one, or none: s is the scale.
         at_rest: whether s is read while the machine is still: in motion it would follow what the model lacks.
         is_held: whether s is known from elsewhere, and not learned.
         stays: whether another recording of the same machine has the same s.
@@ -109,7 +109,8 @@ class Unknown:
         group: what shares a size with it; its prior is then normal, with that size.
         of_machine: whether it is a number of the machine, the same in each of its recordings.
         is_freed: whether it is refitted, not known beforehand: a damping, a parameter of an effect.
-        is_switch: whether an effect is off at `start`; else it shapes the effect. claimed: values that the name may have.
+        is_switch: whether an effect is off at `start`; else it shapes the effect.
+        claimed: values that the name may have.
         replaces: names of what it takes the place of. nuisance: by which samples it acts on, where not on all.
     """
 
@@ -218,7 +219,7 @@ def freed(plant: Plant, name: str, entry: Parameter | None = None) -> Unknown:
 
 
 def known(nuisance: Nuisance, group: Group | None = None) -> Unknown:
-    """What a plant declares with a standard deviation: errors of clocks and stamps, declared values with a tolerance."""
+    """What a plant declares with a standard deviation: errors of clocks and stamps, values with a tolerance."""
     lower, upper = nuisance.bounds
     replaces = (nuisance.same_as,) if nuisance.same_as else ()
     return Unknown(
@@ -252,8 +253,8 @@ def curve(own: ForceMap, force: float, count: int) -> Hypothesis:
     name = f"curve({own.variable})"
     frees = tuple(
         Unknown(
-            f"{name}.{place}", Normal(0.0, group.scale), 0.0, scale=group.scale, step=DIFFERENCE * group.scale, unit="N",
-            slopes=dict(zip(own.coefficients, column.tolist(), strict=False)), group=group, is_freed=True,
+            f"{name}.{place}", Normal(0.0, group.scale), 0.0, scale=group.scale, step=DIFFERENCE * group.scale,
+            unit="N", slopes=dict(zip(own.coefficients, column.tolist(), strict=False)), group=group, is_freed=True,
             is_switch=True,
         )
         for place, (group, column) in enumerate(columns)

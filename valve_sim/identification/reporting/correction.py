@@ -1,4 +1,4 @@
-"""What a correction is worth, in sentences and in report.json: errors of unseen strokes, and how far to trust each name."""
+"""What a correction is worth, in sentences and in report.json: errors of unseen strokes, how far to trust each name."""
 
 from __future__ import annotations
 
