@@ -1,4 +1,3 @@
-
 """A stranger's hour: a machine of one's own from a data sheet and a logger's file, by the command line alone."""
 
 import functools

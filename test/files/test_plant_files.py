@@ -1,4 +1,3 @@
-
 """Files of plants: what is read from them, and one line that names key, value and mend for whatever is wrong."""
 
 import copy

@@ -1,4 +1,3 @@
-
 """The integrator of a user's own equations: closed forms, another integrator, and derivatives by differences."""
 
 import math

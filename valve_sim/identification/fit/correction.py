@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
+from scipy.special import stdtrit
 
 from valve_sim.identification.fit.descent import Descended, descend
 from valve_sim.identification.fit.fitter import Fitter, Tried
@@ -150,12 +151,19 @@ def chosen(scores: Scores, decision: Decision) -> Choice:
 
 
 def agrees(scores: Scores, names: Set) -> bool:
-    """Whether unseen parts do not speak against a set: about as good as the best, and no worse than nothing."""
+    """Whether unseen parts do not speak against a set: it is not plainly worse than the best, nor than nothing.
+
+    Where the form is right the posterior is the sharper test: few parts that scatter do not overrule it.
+    """
     if names not in scores:
         return False
-    best = near(scores)[0]
-    rise, error = scores[best].rise(scores[names])
-    return rise <= max(error, MATTERS) and scores[names].rise(scores[()])[0] >= 0.0
+    return not any(is_worse(scores[names], scores[one]) for one in (near(scores)[0], ()))
+
+
+def is_worse(score: Score, than: Score) -> bool:
+    """Whether a set errs more than another one, by Student's t of the paired differences at 95 %."""
+    rise, error = than.rise(score)
+    return rise > max(MATTERS, float(stdtrit(len(score.logs) - 1, 0.975)) * error)
 
 
 # -- what is scored ----------------------------------------------------------------------------------------------------
@@ -461,7 +469,7 @@ def _outcome(scoring: Scoring, choice: Choice) -> Correction:
             errors, is_refitted = {one: list(own) for one, own in real.items()}, True
             confirmed = {one: Score(np.log(own), 0) for one, own in errors.items()}
             is_applied &= (
-                falls(confirmed, names) if choice.by == "prediction" else confirmed[names].rise(confirmed[()])[0] >= 0.0
+                falls(confirmed, names) if choice.by == "prediction" else not is_worse(confirmed[names], confirmed[()])
             )
     conditions = [
         ConditionError(part.words, before, after)

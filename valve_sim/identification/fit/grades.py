@@ -74,7 +74,7 @@ def _grade(name: str, correction: Correction, decision: Decision, inclusion: Map
     alike = look_alikes(scores, names, name)
     rise, error = rise_without(scores, names, {name, *alike})
     word: Word = "possible"
-    if is_sure and agrees(scores, names) and rise >= 0.0:
+    if is_sure and agrees(scores, names):
         word = "named"
     elif correction.is_applied and len(alike) <= MOST_ALIKE and rise > max(MATTERS, DECISIVE * error):
         word = "acts_like"

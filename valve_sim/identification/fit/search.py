@@ -282,6 +282,10 @@ class Search:
             fit = self.fitter.descended(model, _values(fit), goal=goal, damping=fit.damping) or fit
         keeps = (fit.converged and fit.cost < goal) or not explained
         found = self.fitter.weighed(names, fit, is_fitted=keeps, spreads=keeps or spreads)
+        if not keeps and best is not None and self.log_weight_of(names, found) > self.log_weight(best) - REFITTED:
+            # Errors of the recordings that suit it make up for its cost.
+            fit, keeps = self.fitter.descended(model, _values(fit)) or fit, True
+            found = self.fitter.weighed(names, fit)
         (self.tried if keeps else self.begun)[names] = found
 
     def _starts(self, names: Set) -> list[Start]:

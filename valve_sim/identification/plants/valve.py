@@ -79,12 +79,9 @@ SHORTEST_SPAN: Final = 1e-6
 GAS_STEP: Final = 2e-5
 """Prior scales. Along the usual step the pressures come to be equal so much later that it is more than the main plunger
 takes to open: a clogged orifice was given a twentieth of its standard error."""
-SHARES_OF: Final[Mapping[str, Mapping[str, float]]] = {
-    "current": {"zero": 2e-3, "scale": 5e-3},
-    "pressure": {"zero": 2e-3, "scale": 2e-3},
-}
-"""By the kind of a channel, the scales of its sensor's errors, as shares of what it has shown, where they are not those
-of a position sensor: a clamp or a shunt is good for 0.5 % and 2 mA of 1 A."""
+OF_CURRENT: Final[Mapping[str, float]] = {"zero": 2e-3, "scale": 5e-3}
+"""Scales of the errors of a current's sensor, as shares of the largest current, where they are not those of a position
+sensor: a clamp or a shunt is good for 0.5 % and 2 mA of 1 A."""
 
 
 def dampings_of(valve: Valve) -> tuple[str, ...]:
@@ -346,7 +343,7 @@ class ValvePlant:
         return [IntervalFactors(self.valve, trace, index) for index, trace in enumerate(self.traces)]
 
     def sensors(self, values: Mapping[str, float]) -> dict[int, Sensor]:
-        """The sensors of each trace, with their errors; of a valve that is watched, those of positions.
+        """The sensors of positions and of the current of each trace; of a valve that is watched, those of positions.
 
         The mount of a position sensor at a valve with gas does not ring.
 
@@ -360,9 +357,9 @@ class ValvePlant:
                 kind = self._channels[place].kind
                 if kind == "position":
                     found[place] = self._position_sensor(valve, index, values, next(iter(found), place))
-                elif not self._is_watched:
+                elif kind == "current" and not self._is_watched:
                     span = float(np.max(np.abs(self._channels[place].data), initial=0.0))
-                    found[place] = Sensor(span or 1.0, NO_TIMES, shares=SHARES_OF[kind], is_true_at_rest=False)
+                    found[place] = Sensor(span or 1.0, NO_TIMES, shares=OF_CURRENT, is_true_at_rest=False)
         return found
 
     def _position_sensor(self, valve: Valve, index: int, values: Mapping[str, float], first: int) -> Sensor:
