@@ -1,3 +1,4 @@
+# ruff: noqa: E501 -- YAML, command lines and messages as they are
 """A stranger's hour: a machine of one's own from a data sheet and a logger's file, by the command line alone."""
 
 import functools

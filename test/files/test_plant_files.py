@@ -1,3 +1,4 @@
+# ruff: noqa: E501 -- YAML and messages as they are
 """Files of plants: what is read from them, and one line that names key, value and mend for whatever is wrong."""
 
 import copy

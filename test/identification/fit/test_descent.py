@@ -70,7 +70,7 @@ def test_within_ranges_it_ends_at_the_bounded_least_squares() -> None:
         expected = lsq_linear(rows, data, (ends[:, 0], ends[:, 1]), tol=1e-14)
         assert found.converged
         assert found.chi2 == pytest.approx(2.0 * expected.cost, abs=1e-4)
-        assert found.coordinates == pytest.approx(expected.x, abs=1e-5)
+        assert found.coordinates == pytest.approx(expected.x, abs=1e-4)  # it ends within a tenth of an error
         assert 2 < np.sum([found.on_bound(one.name) is not None for one in own]) < 12
 
 

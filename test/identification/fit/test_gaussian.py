@@ -1,4 +1,4 @@
-"""What follows from one linearisation, on a sum of known columns: evidence and sizes against integrals and closed forms."""
+"""Everything after one linearisation beside closed forms: evidence, sizes, spreads, process."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One linearisation: derivatives are difference quotients, and sums are the same by samples, by blocks and by pieces."""
+"""One linearisation: derivatives of each kind of unknown beside difference quotients, and products of its rows."""
 
 from __future__ import annotations
 

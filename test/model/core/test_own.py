@@ -1,3 +1,4 @@
+# ruff: noqa: E501 -- a table of texts and what is said of them
 """The integrator of a user's own equations: closed forms, another integrator, and derivatives by differences."""
 
 import math

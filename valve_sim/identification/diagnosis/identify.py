@@ -287,7 +287,9 @@ def fit_beside_errors(
     unnamed = rivals.unnamed_beside((), tried.evidence)
     best = _without_influence(fitter.settled(tried), free)
     say("fit", 0.3)
-    return best, unnamed if unnamed > EVEN else 0.0
+    if unnamed > EVEN:
+        return best.allowing(fitter.process, tried.spread.cell), unnamed
+    return best, 0.0
 
 
 def _without_influence(best: Fit, free: Sequence[str]) -> Fit:

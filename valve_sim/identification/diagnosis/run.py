@@ -229,6 +229,7 @@ class DiagnosisSession:
         graded = grades(correction, decision, posterior.inclusion())
         verdict = self._verdict(decision, correction, graded)
         if verdict.kind == "unknown":
+            base = base.allowing(fitter.process, declared.spread.cell)
             after = before = self._state(base, profile=False, tau=declared.spread.tau)
         has_no_name = verdict.kind == "unknown" or (verdict.kind == "partly" and decision.unnamed > EVEN)
         maps = self._unexplained() if has_no_name else ()

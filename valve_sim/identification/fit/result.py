@@ -15,6 +15,7 @@ from valve_sim.identification.fit.gaussian import Gaussian, MachineKnowledge, Si
 from valve_sim.identification.fit.gram import gram
 from valve_sim.identification.fit.model import Model
 from valve_sim.identification.fit.problem import Problem
+from valve_sim.identification.fit.process import Cell, Process
 from valve_sim.identification.fit.unknown import Unknown
 from valve_sim.identification.plants.protocol import Array, Nuisance, primary_channels
 
@@ -31,11 +32,13 @@ class Fit:
     Attributes:
         gaussian: the linearised model where the fit ended. converged: whether nothing was left to be gained.
         is_widened: whether the covariance allows for the sizes of the recordings' errors being estimates.
+        beside: the same with something unnamed beside it, which the covariance allows for; None: nothing is.
     """
 
     gaussian: Gaussian
     converged: bool
     is_widened: bool = False
+    beside: Gaussian | None = None
 
     @classmethod
     def of(cls, descended: Descended) -> Fit:
@@ -184,7 +187,7 @@ class Fit:
     @functools.cached_property
     def covariance(self) -> Array:
         """(k, k) of the coordinates: theory, eq. (31)."""
-        found = self.gaussian.covariance
+        found = (self.beside or self.gaussian).covariance
         return found + self.further if self.is_widened else found
 
     @functools.cached_property
@@ -199,13 +202,15 @@ class Fit:
         """The same fit, its covariance allowing for the sizes of the recordings' errors being estimates."""
         return replace(self, is_widened=True) if self.gaussian.groups else self
 
+    def allowing(self, process: Process, cell: Cell) -> Fit:
+        """The same fit, its covariance allowing for something unnamed at its most probable size."""
+        return replace(self, beside=self.gaussian.beside(process, cell)) if process.blocks else self
+
     def widening(self, name: str) -> float:
-        """By how much the variance of a freed parameter is larger because the recordings' errors are estimates."""
+        """By how much its variance is larger for the sizes of errors being estimates, and for something unnamed."""
         place = self.names.index(name)
-        variance = float(self.covariance[place, place])
-        if not self.is_widened or not math.isfinite(variance):
-            return 1.0
-        return variance / max(variance - float(self.further[place, place]), 1e-300)
+        variance, known = float(self.covariance[place, place]), float(self.gaussian.covariance[place, place])
+        return max(1.0, variance / max(known, 1e-300)) if math.isfinite(variance) and math.isfinite(known) else 1.0
 
     @property
     def machine(self) -> MachineKnowledge:
