@@ -20,7 +20,8 @@ def test_what_was_found_once_is_mended(surface: str, number: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("surface", "count"), [("bags", 60), ("parameter files", 200), ("valves", 1000), ("command lines", 30)]
+    ("surface", "count"),
+    [("bags", 60), ("parameter files", 200), ("valves", 1000), ("command lines", 30), ("tables", 100)],
 )
 def test_bad_input_is_taken_or_refused(surface: str, count: int) -> None:
     numbers = range(1_000_000, 1_000_000 + count)

@@ -1,9 +1,9 @@
 """Inputs that nobody would send on purpose: `python -m benchmarks.fuzz` counts what becomes of them.
 
-Bags are flipped, cut, spliced and repeated; parameter files get wrong values, lines and characters; valves get any
-parameters that are accepted, with gas and without; command lines get all of it, and options that make no sense; a plant
-or a recording of a user's own gets one slip. Each input must be taken, or refused in one line: anything else, and
-whatever takes longer than ten seconds of computing, is a finding, and makes the exit code 1. A surface and a number
+Bags and tables are flipped, cut, spliced and repeated; parameter files get wrong values, lines and characters; valves
+get any parameters that are accepted, with gas and without; command lines get all of it, and options that make no sense;
+a plant or a recording of a user's own gets one slip. Each input must be taken, or refused in one line: anything else,
+and whatever takes longer than ten seconds of computing, is a finding, and makes the exit code 1. A surface and a number
 give an input again. `--only topics`: messages to nodes that run, which needs ROS 2 (see `benchmarks.fuzz.topics`).
 """
 
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import re
 import signal
 import tempfile
 import traceback
@@ -24,10 +25,13 @@ import numpy as np
 from benchmarks.accuracy import Case, ours
 from benchmarks.fuzz.command_lines import try_command_line
 from benchmarks.fuzz.slips import try_recording
+from valve_sim.files.bounded import table_text
+from valve_sim.files.data_tables import open_table
 from valve_sim.files.parameter_files import load_valve
+from valve_sim.files.recording_map import map_from
 from valve_sim.model import CATALOGUE, DECLARED, Drive, Parameter, SimulationError, Valve, simulate
 from valve_sim.model.errors import ValveError
-from valve_sim.traces import list_valves, read_trace
+from valve_sim.traces import TraceError, list_valves, read_trace
 
 ROOT: Final = Path(__file__).parents[2]
 HANGS_AFTER: Final = 10
@@ -139,6 +143,36 @@ def bad_bag(random: Random, folder: Path) -> Path:
     return bag
 
 
+TABLE_MAP: Final = {
+    "time": "t",
+    "voltage": {"column": "u"},
+    "position": {"column": "x", "unit": "mm"},
+}
+TABLE_HEAD: Final = ("# by a logger", "t{0}u{0}x", "s{0}V{0}mm")
+TABLE_ROWS: Final = 600
+
+
+def whole_table(random: Random) -> str:
+    """An opening and a closing in one of four forms: commas, semicolons with decimal commas, quotes, dates."""
+    times = np.arange(TABLE_ROWS) * 1e-4
+    lifts = 1.23 * np.clip((times - 0.012) / 0.008, 0.0, 1.0) * (times < 0.045) + 1e-3 * random.standard_normal(
+        TABLE_ROWS
+    )
+    volts = 9.0 * ((times > 0.01) & (times < 0.04)) + 1e-3 * random.standard_normal(TABLE_ROWS)
+    form = int(random.integers(4))
+    mark = ";" if form == 1 else ","
+    lines = [line.format(mark) for line in TABLE_HEAD]
+    for time, volt, lift in zip(times.tolist(), volts.tolist(), lifts.tolist(), strict=True):
+        cells = [
+            f"2024-03-02T14:37:48.{1e6 * time:06.0f}" if form == 3 else f"{time:.6f}",
+            f"{volt:.5f}",
+            f"{lift:.5f}",
+        ]
+        row = mark.join(f'"{cell}"' if form == 2 else cell for cell in cells)
+        lines.append(row.replace(".", ",") if form == 1 else row)
+    return "\n".join(lines) + "\n"
+
+
 def bad_file(random: Random, folder: Path) -> Path:
     """A changed copy of a shipped parameter file."""
     lines = (
@@ -207,6 +241,23 @@ def try_bag(random: Random, folder: Path) -> None:
     assert np.isfinite(trace.drive.volts).all()
 
 
+def try_table(random: Random, folder: Path) -> None:
+    """Read a damaged table: no row may be lost without a word."""
+    path = folder / "a.csv"
+    whole = whole_table(random).encode()
+    path.write_bytes(mutated(whole, [whole], random))
+    table, trace = open_table(path), read_trace(path, None, map_from(TABLE_MAP, "map"))
+    filled = sum(bool(line.strip()) for line in re.split("\r\n|\r|\n", table_text(path, TraceError)))
+    said = bool(table.findings) or filled - table.rows <= len(TABLE_HEAD)
+    assert said, f"{filled - table.rows} of {filled} lines are lost without a word"
+    dropped = [int(found[1]) for line in trace.findings if (found := re.search(r"dropped (\d+)", line))]
+    assert len(trace.times) + sum(dropped) >= table.rows, (
+        f"{table.rows - len(trace.times)} rows are lost without a word"
+    )
+    assert np.isfinite(trace.pilot_position).all()
+    assert np.all(np.diff(trace.times) > 0.0)
+
+
 def try_file(random: Random, folder: Path) -> None:
     """Load a bad parameter file."""
     assert all(math.isfinite(value) for value in load_valve(bad_file(random, folder)).declared().values())
@@ -264,6 +315,7 @@ SURFACES: Final[dict[str, tuple[Callable[[Random, Path], str | None], int]]] = {
     "command lines": (lambda random, folder: try_command_line(random, folder, bad_bag, bad_file), 10_000),
     "recordings": (lambda random, folder: try_recording(int(random.integers(MOST_SLIPS))), 300),
     "valves with gas": (try_gas, 1_000),
+    "tables": (try_table, 2_000),
 }
 """What tries one input, and how many are tried; a new one comes last, for the place is a seed.
 

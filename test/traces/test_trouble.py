@@ -40,6 +40,13 @@ def trace(position: float = 1.0, offset: float = 0.0, volts: float = 1.0, ampere
     )
 
 
+def stepping() -> Trace:
+    """The voltage where the position should be."""
+    made = trace()
+    noise = 1e-6 * np.random.default_rng(2).standard_normal(len(made.times))
+    return replace(made, pilot_position=1.3e-3 * (made.drive.at(made.times) > 0.0) + noise)
+
+
 @pytest.mark.parametrize(
     ("made", "expected"),
     [
@@ -49,6 +56,9 @@ def trace(position: float = 1.0, offset: float = 0.0, volts: float = 1.0, ampere
         (trace(offset=0.0125), r"topic /lvdt: .* lies at 0\.01\d+ m, expected 0 m .* offset: \(here -0\.0125"),
         (replace(trace(position=1e3), units={"position": "mm"}), r"as if um were taken for mm; .* unit: um$"),
         (replace(trace(position=1e-3), units={"position": "um"}), r"as if mm were taken for um; .* unit: mm$"),
+        (replace(trace(position=25.4), units={"position": "in"}), r"as if mm were taken for in; .* unit: mm$"),
+        (replace(trace(position=10.0), units={"position": "cm"}), r"as if mm were taken for cm; .* unit: mm$"),
+        (stepping(), r"topic /lvdt: .* jumps .* within a sample, .* exchanged with topic /supply"),
         (
             trace(volts=0.1, amperes=10.0),
             r"topic /supply and topic /clamp: .* 0\.9 V and the current 9 A, .* are exchanged; name each by",
@@ -56,9 +66,12 @@ def trace(position: float = 1.0, offset: float = 0.0, volts: float = 1.0, ampere
         (table(1e3), r"time: .* takes \d[.\d]* s from the gap to the stop .* another unit of time"),
         (table(1e-3), r"time: .* takes \de-06 s|time: .* takes \d\.\d+e-06 s"),
         (trace(volts=1e3), r"topic /supply: .* reaches 9000 V, expected about 9 V .* unit: mV$"),
-        (trace(volts=1e-2), r"topic /supply: .* reaches 0\.09 V only, though the valve moved"),
+        (trace(volts=1e-2), r"topic /supply: .* reaches 0\.09 V only, though the valve moved; .* divider, 100\?"),
         (trace(amperes=1e3), r"topic /clamp: .* reaches 900 A, expected about 0\.9 A .* unit: mA$"),
-        (trace(amperes=1e-3), r"topic /clamp: .* reaches 0\.0009 A only"),
+        (
+            replace(trace(amperes=1e-3), units={"current": "mA"}),
+            r"topic /clamp: .* reaches 0\.0009 A only, .* as if A were taken for mA; .* unit: A",
+        ),
     ],
 )
 def test_other_units_are_refused_with_the_mend(made: Trace, expected: str) -> None:
@@ -93,6 +106,18 @@ def test_an_inverted_position_is_said(sign: float, tmp_path: Path) -> None:
     (tmp_path / "map.yaml").write_text("time: t\ncommand: u\nposition: x\n")
     found = read_trace(tmp_path / "a.csv", None, load_map(tmp_path / "map.yaml")).findings
     assert any("it may be inverted; correct it with --map and sign: -1" in line for line in found) == (sign < 0.0)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_current_against_the_voltage_is_said(sign: float, tmp_path: Path) -> None:
+    made = trace()
+    assert made.coil_current is not None
+    columns = [made.times, made.drive.at(made.times), made.pilot_position, sign * made.coil_current.values]
+    rows = np.column_stack(columns)
+    np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header="t,u,x,i", comments="", fmt="%.9g")
+    (tmp_path / "map.yaml").write_text("time: t\ncommand: u\nposition: x\ncurrent: i\n")
+    found = read_trace(tmp_path / "a.csv", None, load_map(tmp_path / "map.yaml")).findings
+    assert any("column i: the current flows against the voltage" in line for line in found) == (sign < 0.0)
 
 
 def test_a_voltage_behind_a_divider_of_ten_that_opened_a_valve_is_refused() -> None:

@@ -9,8 +9,8 @@ import numpy as np
 from valve_sim.files.channels import CHANNELS, SIGNALS, UNITS
 from valve_sim.model.core_types import Phase
 from valve_sim.model.drives import Drive
-from valve_sim.signals.left_out import words_of
-from valve_sim.signals.motion import SMALLEST_MOTION, largest_travel, motion_threshold
+from valve_sim.signals.left_out import FASTEST, words_of
+from valve_sim.signals.motion import SMALLEST_MOTION, largest_travel, medians_of_three, motion_threshold
 from valve_sim.traces.clocks import find_gaps
 from valve_sim.traces.strokes import FULL_TRAVEL, find_stroke_parts
 from valve_sim.traces.trace import TraceError
@@ -28,6 +28,10 @@ TOO_SMALL = (1e3, 1e6)
 """A travel so many times smaller than the stroke is another unit; what lies between may be a valve that sticks."""
 ALIKE = 3.0
 """Declared and true stroke differ by less than this factor."""
+FEWEST_JUMPS = 2
+"""From one end to the other; one may be where the recording was joined."""
+NEAR = 0.05
+"""Share of the travel; smaller changes may be noise."""
 PLACES = 100
 """From a lift to the stop, at which forces are looked at."""
 RESTED = 0.25
@@ -61,7 +65,7 @@ def find_problems(trace: Trace, positions: str, voltage: str) -> list[str]:
         findings.append(f"{voltage} never leaves 0 V")
     is_beside = trace.drive.times[0] > times[-1] or trace.drive.times[-1] < 2 * times[0] - times[-1]
     beside = [f"{voltage}: no command falls into the time of the samples"] if is_beside else []
-    findings += _impossible(trace)
+    findings += _impossible(trace) + _opposed(trace)
     if not trace.has_positions:
         return findings + beside
     reach = float(np.abs(trace.kept_position).max(initial=0.0))
@@ -106,8 +110,9 @@ def doubtful_units(trace: Trace, parameters: ValveParameters) -> tuple[str, ...]
     exchanged = _exchanged(trace, parameters)
     if exchanged:
         return (exchanged,)
-    checks = (_position, _time, _voltage, _current) if trace.has_positions else (_voltage, _current)
-    found = [check(trace, parameters) for check in checks]
+    found = [check(trace, parameters) for check in (_position, _time) if trace.has_positions]
+    # A current is judged by the voltage.
+    found += [_voltage(trace, parameters) or _current(trace, parameters)]
     return tuple(line for line in found if line)
 
 
@@ -195,10 +200,10 @@ def _position(trace: Trace, parameters: ValveParameters) -> str:
     stroke, travel = parameters.stroke, largest_travel(trace.usable_position)
     where = _where(trace, "position")
     if travel > MOST_STROKES * stroke:
-        factor = min((1e3, 1e6, 1e9), key=lambda own: abs(np.log(travel / stroke / own)))
+        factor = _unit_factor(trace, "position", stroke / travel)
         return (
             f"{where}: {PILOT} travels {travel:.4g} m, expected about {stroke:.4g} m (valve.stroke), at most "
-            f"{MOST_STROKES * stroke:.4g} m: about {factor:g} times too large{_mend(trace, 'position', 1.0 / factor)}"
+            f"{MOST_STROKES * stroke:.4g} m: about {1.0 / factor:.4g} times too large{_mend(trace, 'position', factor)}"
         )
     for factor in TOO_SMALL:
         alike = 1.0 / ALIKE < factor * travel / stroke < ALIKE
@@ -259,7 +264,7 @@ def _voltage(trace: Trace, parameters: ValveParameters) -> str:
     if highest > 0.0 and is_too_low and _has_moved(trace):
         return (
             f"{where}: the voltage reaches {highest:.4g} V only, though the valve moved; {expected}; "
-            "correct it with --map and unit: or scale: (of a divider)"
+            f"correct it with --map and unit: or scale: (of a divider, {_power_of_ten(reference / highest):g}?)"
         )
     return ""
 
@@ -285,8 +290,8 @@ def _current(trace: Trace, parameters: ValveParameters) -> str:
         return f"{where}: {found}, {words}{_mend(trace, 'current', 1e-3)}"
     if highest < LEAST_AMPERES * expected and _has_moved(trace):
         return (
-            f"{where}: the current reaches {highest:.3g} A only, {words}; "
-            "correct it with --map and unit: or scale:, or leave the current out of the map"
+            f"{where}: the current reaches {highest:.3g} A only, {words}"
+            f"{_mend(trace, 'current', _power_of_ten(expected / highest))}, or leave the current out of the map"
         )
     return ""
 
@@ -302,6 +307,17 @@ def _has_moved(trace: Trace) -> bool:
     return largest_travel(trace.usable_position) > motion_threshold(trace.kept_position)
 
 
+def _power_of_ten(ratio: float) -> float:
+    return float(10.0 ** np.round(np.log10(ratio)))
+
+
+def _unit_factor(trace: Trace, quantity: str, factor: float) -> float:
+    """That of the unit of a map which makes the numbers nearest to so many times as large."""
+    units = UNITS[CHANNELS[quantity].dimension]
+    taken = units[trace.units.get(quantity, CHANNELS[quantity].unit)].factor
+    return float(min((own.factor / taken for own in units.values()), key=lambda own: abs(np.log(own / factor))))
+
+
 def _mend(trace: Trace, quantity: str, factor: float) -> str:
     """What to do about numbers that should be so many times as large: another unit of the map, or a scale."""
     units = UNITS[CHANNELS[quantity].dimension]
@@ -314,7 +330,13 @@ def _mend(trace: Trace, quantity: str, factor: float) -> str:
 
 
 def _exchanged(trace: Trace, parameters: ValveParameters) -> str:
-    """Whether voltage and current are each other: the other way round, both are as declared."""
+    """Whether voltage and position, or voltage and current, are each other: the other way round, both can be."""
+    voltage, current = _where(trace, "command" if "command" in trace.origins else "voltage"), _where(trace, "current")
+    if trace.has_positions and _jumps(trace, parameters):
+        return (
+            f"{_where(trace, 'position')}: {PILOT} jumps from end to end within a sample, as a voltage does, expected "
+            f"milliseconds: is it exchanged with {voltage}? Name each by the other's topic or column in --map"
+        )
     signal = trace.coil_current
     if signal is None or not len(signal.values):
         return ""
@@ -326,12 +348,39 @@ def _exchanged(trace: Trace, parameters: ValveParameters) -> str:
     alike = [amperes / reference, volts / (amperes / resistance)]
     if not all(1.0 / ALIKE < ratio < ALIKE for ratio in alike):
         return ""
-    voltage, current = _where(trace, "command" if "command" in trace.origins else "voltage"), _where(trace, "current")
     return (
         f"{voltage} and {current}: the voltage reaches {volts:.3g} V and the current {amperes:.3g} A, expected about "
         f"{reference:g} V and {reference / resistance:.3g} A (valve.reference_voltage, valve.coil_resistance): they "
         "are exchanged; name each by the other's topic or column in --map"
     )
+
+
+def _jumps(trace: Trace, parameters: ValveParameters) -> bool:
+    """Whether a position mostly goes from end to end within one sample, in less time than any plunger takes."""
+    middle = medians_of_three(trace.usable_position)
+    changes, travel = np.abs(np.diff(middle)), float(np.ptp(middle)) if len(middle) else 0.0
+    is_whole = changes > 0.5 * travel
+    if np.count_nonzero(is_whole) < FEWEST_JUMPS or not np.any(middle):
+        return False
+    interval = float(np.median(np.diff(trace.times)))
+    is_most = changes[is_whole].sum() > 0.5 * changes[changes > NEAR * travel].sum()
+    return bool(is_most and interval < parameters.stroke / FASTEST)
+
+
+def _opposed(trace: Trace) -> list[str]:
+    """Whether the current flows against the voltage: one sentence, or none."""
+    signal = trace.coil_current
+    if signal is None or not len(signal.values):
+        return []
+    volts = np.concatenate([[0.0], trace.drive.volts])[np.searchsorted(trace.drive.times, signal.times, side="right")]
+    along = np.sign(volts) * signal.values
+    most = float(np.quantile(np.abs(signal.values), 0.999))
+    if not volts.any() or float(np.median(along[volts != 0.0])) > -0.3 * most:
+        return []
+    return [
+        f"{_where(trace, 'current')}: the current flows against the voltage: one of them is inverted; correct it with "
+        "--map and sign: -1"
+    ]
 
 
 def _inverted(trace: Trace, positions: str) -> list[str]:
