@@ -64,7 +64,7 @@ def test_restitution_and_preload_are_found_through_the_impacts(folder: Path) -> 
     out = CliRunner().invoke(main, ["simulate", *given, "--output", str(folder / "shown.csv")], catch_exceptions=False)
     assert "300.000000 ms  lifted" in out.output
     assert out.output.count("seated") == 2
-    assert out.output.splitlines()[0].split() == ["18.257419", "ms", "bounced"]
+    assert out.output.splitlines()[0].split() == ["18.403696", "ms", "bounced"]
 
 
 @pytest.mark.parametrize(

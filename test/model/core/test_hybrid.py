@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 
 from valve_sim.files.plant_files import PlantFile, plant_from
 from valve_sim.model.core.own.simulation import Inputs, Machine, Shown
+from valve_sim.model.errors import SimulationError
 
 Array = NDArray[np.float64]
 NO_INPUTS = Inputs(np.empty(0), np.empty((0, 0)), np.empty(0, dtype=bool))
@@ -45,6 +46,22 @@ transitions:
   - {from: heating, when: T > high, cases: [{to: idle}], event: idles}
   - {from: idle, when: T < low, cases: [{to: heating}], event: heats}
 outputs: {temperature: {value: T, unit: K}}
+"""
+BESIDE = """
+plant: equations
+states: {T: {unit: K, start: 20}}
+parameters: {tau: {value: 100, unit: s}, power: {value: 60, unit: K}, ambient: {value: 10, unit: K},
+             low: {value: 18, unit: K}, high: {value: 22, unit: K}, margin: {value: 1, unit: K}}
+derivatives: {T: '(ambient + where(heater == heating, power, 0) - T)/tau'}
+regions: {heater: {idle: {}, heating: {}}, lamp: {dark: {}, lit: {}}}
+held: {hottest: {unit: K, start: 0}}
+transitions:
+  - {from: heating, when: T > high, cases: [{to: [idle, lit], set: {hottest: T}}], event: idles}
+  - {from: idle, when: T < low, cases: [{to: heating}], event: heats}
+  - from: [lit]
+    when: T < low + margin
+    cases: [{if: heater == heating, to: dark, event: never}, {to: dark, event: darkens}]
+outputs: {temperature: {value: T, unit: K}, lamp_is: {value: lamp, unit: 1}, seen: {value: hottest, unit: K}}
 """
 BELT = """
 plant: equations
@@ -182,6 +199,17 @@ def test_a_relay_with_hysteresis_switches_when_its_exponentials_say() -> None:
     expected = [begins, *(begins + np.cumsum([heats, idles] * 10))]
     found = [event.time for event in shown.events]
     assert found == pytest.approx([time for time in expected if time < 400.0], abs=1e-9)
+
+
+def test_regions_side_by_side_know_each_others_modes() -> None:
+    """The relay once more, with a lamp that is lit when the heater ends, until the room is nearly at its lower end."""
+    shown, alone = run(BESIDE, NO_INPUTS, np.array([0.0, 35.0, 400.0])), run(RELAY, NO_INPUTS, np.array([0.0, 400.0]))
+    relay = [event for event in shown.events if event.name in ("idles", "heats")]
+    assert [event.time for event in relay] == pytest.approx([event.time for event in alone.events], abs=1e-9)
+    idles, darkens = (np.array([e.time for e in shown.events if e.name == name]) for name in ("idles", "darkens"))
+    assert darkens == pytest.approx(idles[: len(darkens)] + 100.0 * math.log(12.0 / 9.0), abs=1e-9)
+    assert [event.name for event in shown.events].count("never") == 0
+    assert shown.outputs[1, 1:].tolist() == [1.0, pytest.approx(22.0, abs=1e-12)]
 
 
 def test_a_block_on_a_belt_sticks_and_slips() -> None:
@@ -344,3 +372,30 @@ def test_derivatives_go_through_events_as_differences_do(text: str, inputs: Inpu
         off = np.abs(shown.slopes[:, 0, column] - (4.0 * narrow - broad) / 3.0)[calm]
         assert np.mean(calm) > 0.8, name
         assert np.max(off) < 1e-7 * size + 1e-12, name
+
+
+@pytest.mark.parametrize(
+    ("text", "commands", "end"),
+    [(PLUNGER, PUSHED, 0.6), (VALVE, held([0.0, 0.02], [12.0, 0.0]), 0.04), (BELT, NO_INPUTS, 3.0)],
+    ids=["plunger", "valve", "belt"],
+)
+def test_a_run_that_is_cut_anywhere_is_the_same_run_to_the_bit(text: str, commands: Inputs, end: float) -> None:
+    file = file_of(text)
+    machine, (numbers, start) = machine_of(file), numbers_of(file)
+    looks = np.sort(np.random.default_rng(0).uniform(0.0, end, 500))
+    whole = machine.run(numbers, start, commands, looks, start_time=0.0)
+    live = machine.stepped(numbers, start, commands.levels[0] if len(commands.levels) else [])
+    events, changes = [], list(zip(commands.times, commands.levels, strict=True))[1:]
+    for look, row in zip(looks, whole.outputs, strict=True):
+        while changes and changes[0][0] <= look:
+            events += live.change(*changes.pop(0))[1]
+        shown, told = live.advance(look)
+        events += told
+        assert np.array_equal(shown, row)
+    assert events == [event for event in whole.events if event.time <= looks[-1]]
+
+
+def test_time_that_stands_still_is_said_with_the_mend() -> None:
+    ball = PENDULUM.replace("-a*sin(q)", "-a").replace("e: {value: 0.7}", "e: {value: 0.5}")
+    with pytest.raises(SimulationError, match=r"time stands still at .* transitions 1 of .* add a mode"):
+        run(ball, NO_INPUTS, np.array([0.0, 10.0]))

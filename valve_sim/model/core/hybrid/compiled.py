@@ -20,6 +20,10 @@ Array = NDArray[np.float64]
 TOLERANCE: Final = 1e-9
 """Relative error of a step, of the largest size that a state has had so far."""
 FEW_EVENTS: Final = 64
+LIVE_EVENTS: Final = 4096
+"""Events that a piece of a run may have; later ones are not told."""
+MOST_LIVE: Final = 4_000_000
+"""Steps of a piece of a run."""
 
 
 class Run(NamedTuple):
@@ -51,6 +55,9 @@ class Changes:
         self.has_slopes = bool(np.any(self.rows[:, 2::2]))
 
 
+NO_CHANGES: Final = Changes(np.empty((0, 1)))
+
+
 class _Room:
     """Memory of one run at a time: a block, its tangents, and events."""
 
@@ -70,7 +77,7 @@ class Compiled:
 
     def __init__(self, system: System, free: Sequence[str], width: int) -> None:
         kernels = Kernels(system, free, width)
-        self.width, self._system, self._outputs = width, system, len(system.outputs)
+        self.width, self._system, self.outputs = width, system, len(system.outputs)
         self._slots, self._rooms = kernels.slots, list[_Room]()
         self._library = machine.library(f"hybrid {system.digest} {free} {width}", kernels.text, is_straight=True)
         self._blank = self._made()
@@ -123,18 +130,13 @@ class Compiled:
         except IndexError:
             room = _Room(width, FEW_EVENTS)
         block, tangents = room.block, room.tangents
-        block[: at.COPIED] = self._blank
-        block[at.STATE : at.STATE + len(states)] = states
-        block[at.PEAK : at.PEAK + len(states)] = np.abs(states)
-        block[at.NUMBERS : at.NUMBERS + len(numbers)] = numbers
-        block[at.TIME], block[at.TOLERANCE] = changes.rows[0, 0], tolerance
-        block[at.IS_STRAIGHT] = changes.has_slopes
+        self.begin(block, states, numbers, changes, tolerance)
         if width:
             tangents[: at.COPIED] = 0.0
             for column, direction in enumerate(directions):
                 for name, by in direction.items():
                     tangents[self._slots[name], column] = by
-        rows, slopes = np.empty((len(times), self._outputs)), np.empty((len(times), self._outputs, width))
+        rows, slopes = np.empty((len(times), self.outputs)), np.empty((len(times), self.outputs, width))
         outcome = _drive()(
             *room.addresses[:2], changes.address, changes.count, times[-1], most, times.ctypes.data, len(times),
             rows.ctypes.data, slopes.ctypes.data if width else 0, room.addresses[2], len(room.events),
@@ -149,6 +151,40 @@ class Compiled:
         )  # fmt: skip
         self._rooms.append(room)
         return found
+
+    def begin(self, block: Array, states: Array, numbers: Array, changes: Changes, tolerance: float) -> None:
+        """Make a block that of a machine at its start; arguments as of `run`."""
+        block[: at.COPIED] = self._blank
+        block[at.STATE : at.STATE + len(states)] = states
+        block[at.PEAK : at.PEAK + len(states)] = np.abs(states)
+        block[at.NUMBERS : at.NUMBERS + len(numbers)] = numbers
+        block[at.TIME], block[at.TOLERANCE] = changes.rows[0, 0], tolerance
+        block[at.IS_STRAIGHT] = changes.has_slopes
+
+
+class Stepped:
+    """A machine that is run in pieces, with inputs that hold: the same run to the last bit.
+
+    Args:
+        compiled: without directions. states, numbers, changes, tolerance: as of `Compiled.run`; the first of the
+            changes alone is taken.
+    """
+
+    def __init__(self, compiled: Compiled, states: Array, numbers: Array, changes: Changes, tolerance: float) -> None:
+        self._room, self._row = _Room(0, LIVE_EVENTS), np.empty((1, compiled.outputs))
+        compiled.begin(self._room.block, states, numbers, changes, tolerance)
+        self.advance(float(changes.rows[0, 0]), changes)
+
+    def advance(self, time: float, changes: Changes = NO_CHANGES) -> Run:
+        """Run on to a time, s, with changes of the inputs on the way; outputs are those of that time, (1, outputs)."""
+        block, here = self._room.block, np.array([time])
+        block[at.SAMPLED] = block[at.EVENTS] = block[at.TAKEN] = 0.0
+        outcome = _drive()(
+            *self._room.addresses[:2], changes.address, changes.count, time, MOST_LIVE, here.ctypes.data, 1,
+            self._row.ctypes.data, 0, self._room.addresses[2], LIVE_EVENTS,
+        )  # fmt: skip
+        events = self._room.events[: int(block[at.EVENTS])].copy()
+        return Run(outcome, float(block[at.TIME]), int(block[at.TAKEN]), self._row.copy(), np.empty((1, 0, 0)), events)
 
 
 @machine.made_once

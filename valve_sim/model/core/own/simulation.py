@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.model.core.hybrid import driver
-from valve_sim.model.core.hybrid.compiled import TOLERANCE, Array, Changes, Compiled, Run
+from valve_sim.model.core.hybrid.compiled import TOLERANCE, Array, Changes, Compiled, Run, Stepped
 from valve_sim.model.core.hybrid.system import System
 from valve_sim.model.core.own.equations import Equations
 from valve_sim.model.errors import SimulationError
@@ -106,10 +106,7 @@ class Machine:
         samples = np.ascontiguousarray(samples, dtype=np.float64)
         begins = min(samples[0], inputs.times[0]) if len(inputs.times) else samples[0]
         changes = self._changes(inputs, float(begins if start_time is None else start_time))
-        states = np.array([start[name] for name in self.equations.derivatives])
-        values = np.array([numbers[name] for name in self.equations.parameters])
-        if not math.isfinite(states.sum() + values.sum()):
-            raise SimulationError("a parameter or a state at the start is not finite")
+        states, values = self._start(numbers, start)
         if most is None:
             most = STEPS_MORE + STEPS_EACH * (changes.count + len(samples))
         runs = []
@@ -122,6 +119,22 @@ class Machine:
             return Shown(runs[0].outputs, runs[0].slopes, self._events(runs[0].events), runs[0].steps)
         slopes = np.concatenate([done.slopes for done in runs], axis=2)
         return Shown(runs[0].outputs, slopes, self._events(runs[0].events), runs[0].steps)
+
+    def stepped(
+        self, numbers: Mapping[str, float], start: Mapping[str, float], levels: Sequence[float], time: float = 0.0,
+        tolerance: float = TOLERANCE,
+    ) -> Live:  # fmt: skip
+        """The machine live, from a time on, s; `levels` of its inputs, SI, hold until they change; else as `run`."""
+        states, values = self._start(numbers, start)
+        stepped = Stepped(self._with_width(0), states, values, _held(time, levels), tolerance)
+        return Live(stepped, self._events, self._check)
+
+    def _start(self, numbers: Mapping[str, float], start: Mapping[str, float]) -> tuple[Array, Array]:
+        states = np.array([start[name] for name in self.equations.derivatives])
+        values = np.array([numbers[name] for name in self.equations.parameters])
+        if not math.isfinite(states.sum() + values.sum()):
+            raise SimulationError("a parameter or a state at the start is not finite")
+        return states, values
 
     def _changes(self, inputs: Inputs, time: float) -> Changes:
         """What inputs do from a time on, s; known of those that drive it again and again."""
@@ -157,6 +170,35 @@ class Machine:
             )
         if done.outcome == driver.NOT_FINITE or not np.all(np.isfinite(done.outputs)):
             raise SimulationError(f"a state or output is not finite from {done.time:.6g} s on")
+
+
+class Live:
+    """A machine that is stepped: what it shows at times that are not known beforehand is what one run shows then."""
+
+    def __init__(
+        self, stepped: Stepped, named: Callable[[Array], tuple[Event, ...]], check: Callable[[Run], None]
+    ) -> None:
+        self._stepped, self._named, self._check = stepped, named, check
+
+    def advance(self, time: float) -> tuple[Array, tuple[Event, ...]]:
+        """The outputs at a time, s, SI, and the events with a name since the last call.
+
+        Raises:
+            SimulationError: a number is not finite, or time stands still.
+        """
+        return self._shown(self._stepped.advance(time))
+
+    def change(self, time: float, levels: Sequence[float]) -> tuple[Array, tuple[Event, ...]]:
+        """The same, of inputs that have other levels, SI, from that time on."""
+        return self._shown(self._stepped.advance(time, _held(time, levels)))
+
+    def _shown(self, done: Run) -> tuple[Array, tuple[Event, ...]]:
+        self._check(done)
+        return done.outputs[0], self._named(done.events)
+
+
+def _held(time: float, levels: Sequence[float]) -> Changes:
+    return Changes(np.array([[time, *(number for level in levels for number in (level, 0.0))]]))
 
 
 def _changes(inputs: Inputs, time: float) -> Array:
