@@ -50,7 +50,7 @@ def closed(search: Search) -> tuple[Correction, tuple[Grade, ...]]:
     posterior = search.posterior()
     decision = decide(posterior, {name: len(own.frees) for name, own in search.fitter.hypotheses.items()})
     correction = correct(search, decision)
-    return correction, grades(correction, decision, posterior.inclusion())
+    return correction, grades(correction, decision, posterior)
 
 
 @pytest.mark.parametrize("names", [(), ("coulomb_friction",)])

@@ -226,7 +226,8 @@ def objection_to(diagnosis: Diagnosis) -> str:
     """Why the corrected model should not be set on a valve; empty where nothing speaks against it."""
     if diagnosis.verdict.is_corrected and not diagnosis.held_out_gain > PREDICTS_BETTER:
         if math.isnan(diagnosis.held_out_gain):
-            return "no strokes were held out that could confirm it"
+            is_confirmed = diagnosis.correction is not None and diagnosis.correction.is_refitted
+            return "" if is_confirmed else "no strokes were held out that could confirm it"
         return "it does not predict held-out strokes decisively better than the declared model"
     return what_is_left(diagnosis) if diagnosis.verdict.kind == "none" else ""
 

@@ -23,7 +23,7 @@ from valve_sim.identification.fit.correction import Correction, correct, is_curv
 from valve_sim.identification.fit.curves import Unexplained, unexplained
 from valve_sim.identification.fit.descent import MOST
 from valve_sim.identification.fit.detection_limits import detection_limits
-from valve_sim.identification.fit.grades import Grade, grades, kind_of
+from valve_sim.identification.fit.grades import Grade, grades, kind_of, without_support
 from valve_sim.identification.fit.held_out import HeldOut, predicted
 from valve_sim.identification.fit.intervals import Interval, covariance_interval, profile_interval
 from valve_sim.identification.fit.noise import Noise
@@ -215,9 +215,13 @@ class DiagnosisSession:
         posterior, decision = grounds.posterior, grounds.decision
         self._say("what predicts unseen strokes", 0.9)
         correction = correct(self._search, decision)
+        if without_support(correction, grades(correction, decision, posterior)):
+            correction = replace(correction, is_applied=False)
         self._say("intervals", 0.95)
         fitter, declared = self._search.fitter, self._search.tried[()]
         result = fitter.settled(correction.fit).widened()
+        if correction.is_applied and decision.unnamed > EVEN:
+            result = result.allowing(fitter.process, result.gaussian.spread(fitter.process).cell)
         # Before and after are compared with the same errors of the recordings: else these would hide what was missing.
         base = result if correction.fit is declared else fitter.settled(declared, result.gaussian.sizes).widened()
         before = self._state(base, profile=False)
@@ -226,7 +230,7 @@ class DiagnosisSession:
             # Separate strokes have the last word.
             correction, result = replace(correction, is_applied=False), base
             after = before
-        graded = grades(correction, decision, posterior.inclusion())
+        graded = grades(correction, decision, posterior)
         verdict = self._verdict(decision, correction, graded)
         if verdict.kind == "unknown":
             base = base.allowing(fitter.process, declared.spread.cell)

@@ -10,13 +10,22 @@ The values of what only acts like a name are a stand-in's: they have no standard
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
-from valve_sim.identification.fit.correction import DECISIVE, MATTERS, Correction, Score, Scores, agrees, is_curve
-from valve_sim.identification.fit.posterior import EVEN, SURE, Decision, Set
+from valve_sim.identification.fit.correction import (
+    DECISIVE,
+    MATTERS,
+    Correction,
+    Score,
+    Scores,
+    agrees,
+    falls,
+    is_curve,
+)
+from valve_sim.identification.fit.posterior import EVEN, SURE, Decision, Posterior, Set
+from valve_sim.identification.fit.result import Fit
 from valve_sim.identification.fit.search import added, without
 
 EQUAL: Final = 0.003
@@ -45,14 +54,17 @@ class Grade(NamedTuple):
     factor: float
 
 
-def grades(correction: Correction, decision: Decision, inclusion: Mapping[str, float]) -> tuple[Grade, ...]:
-    """The grade of each name of a correction; a curve has none.
-
-    Args:
-        correction, decision: of one search. inclusion: probability of each name, by the posterior.
-    """
+def grades(correction: Correction, decision: Decision, posterior: Posterior) -> tuple[Grade, ...]:
+    """The grade of each name of a correction; a curve has none. Arguments are of one search."""
     names = correction.names
-    return () if is_curve(names) else tuple(_grade(name, correction, decision, inclusion) for name in names)
+    return () if is_curve(names) else tuple(_grade(name, correction, decision, posterior) for name in names)
+
+
+def without_support(correction: Correction, graded: tuple[Grade, ...]) -> bool:
+    """Whether a correction that the posterior chose has names that are not certain, and predicts no better."""
+    if not correction.is_applied or correction.by == "prediction" or all(own.word == "named" for own in graded):
+        return False
+    return correction.names not in correction.scores or not falls(correction.scores, correction.names)
 
 
 def kind_of(correction: Correction, graded: tuple[Grade, ...], decision: Decision) -> Kind:
@@ -64,22 +76,38 @@ def kind_of(correction: Correction, graded: tuple[Grade, ...], decision: Decisio
     return "unknown" if decision.unnamed > EVEN else "insufficient"
 
 
-def _grade(name: str, correction: Correction, decision: Decision, inclusion: Mapping[str, float]) -> Grade:
+def _grade(name: str, correction: Correction, decision: Decision, posterior: Posterior) -> Grade:
     scores, names = correction.scores, correction.names
     of_class = decision.others.get(name, ()) if name in decision.names else ()
-    probability = min(1.0, math.fsum(inclusion.get(one, 0.0) for one in (name, *of_class)))
+    probability = _probability({name, *of_class}, posterior)
     is_sure = decision.unnamed <= EVEN and probability >= SURE and correction.is_applied
+    is_sure &= len(of_class) <= MOST_ALIKE and not ends_its_range(correction.tried[names].result, name)
     if names not in scores:
         return Grade(name, "named" if is_sure else "possible", probability, of_class, math.nan, math.nan)
     alike = look_alikes(scores, names, name)
     rise, error = rise_without(scores, names, {name, *alike})
-    word: Word = "possible"
+    share, factor = _share(scores, names, name), math.exp(rise)
     if is_sure and agrees(scores, names):
-        word = "named"
-    elif correction.is_applied and len(alike) <= MOST_ALIKE and rise > max(MATTERS, DECISIVE * error):
-        word = "acts_like"
+        return Grade(name, "named", probability, of_class, share, factor)
     every = tuple(dict.fromkeys((*of_class, *alike)))
-    return Grade(name, word, probability, every, _share(scores, names, name), math.exp(rise))
+    is_real = correction.is_applied and len(alike) <= MOST_ALIKE and rise > max(MATTERS, DECISIVE * error)
+    word: Word = "acts_like" if is_real else "possible"
+    return Grade(name, word, _probability({name, *every}, posterior), every, share, factor)
+
+
+def _probability(names: set[str], posterior: Posterior) -> float:
+    """That at least one of some names acts."""
+    return min(1.0, math.fsum(share.total for one, share in posterior.shares.items() if names & set(one)))
+
+
+def ends_its_range(result: Fit, name: str) -> bool:
+    """Whether a switch of an effect, or a wrong value, is on an end of its range where it does not do nothing."""
+    own = [one for one in result.free if one.startswith(f"{name}.") or one == name.removeprefix("valve.")]
+    at = dict(zip(result.names, result.coordinates.tolist(), strict=True))
+    return any(
+        result.unknown(one).is_switch and result.on_bound(one) is not None and at[one] != result.unknown(one).start
+        for one in own
+    )
 
 
 def look_alikes(scores: Scores, names: Set, name: str) -> list[str]:

@@ -9,9 +9,10 @@ from typing import Any, Final
 from valve_sim.identification.diagnosis.outcome import Diagnosis
 from valve_sim.identification.fit.correction import Correction, is_curve
 from valve_sim.identification.fit.grades import Grade
-from valve_sim.identification.plants.effect_titles import inside_sentence, named, title_of
+from valve_sim.identification.fit.intervals import Interval
+from valve_sim.identification.plants.effect_titles import inside_sentence, named, named_value, title_of
 from valve_sim.identification.plants.protocol import READABLE_UNITS, primary_channels
-from valve_sim.identification.reporting.units import in_unit, quantity
+from valve_sim.identification.reporting.units import in_unit, measured, quantity
 
 WORDS: Final = {"named": "named", "acts_like": "acts like", "possible": "possible"}
 """Grades in words."""
@@ -127,6 +128,8 @@ def correction_json(diagnosis: Diagnosis) -> dict[str, Any] | None:
             "conditions": len(found.conditions),
             **in_unit("before", scale * found.before, unit),
             **in_unit("after", scale * found.after, unit),
+            **in_unit("predicted", scale * found.predicted, unit),
+            **in_unit("best", scale * found.best, unit),
             "each": [
                 {
                     "condition": own.words,
@@ -154,9 +157,33 @@ def names_json(diagnosis: Diagnosis) -> list[dict[str, Any]]:
             "confusable_with": list(own.alike),
             "share": own.share,
             "without": own.factor,
+            "amount": {
+                name.partition(".")[2] or name: value
+                for name, value in _values(diagnosis).items()
+                if name.startswith(f"{own.effect}.") or name == own.effect.removeprefix("valve.")
+            },
         }
         for own in diagnosis.grades
     ]
+
+
+def _values(diagnosis: Diagnosis) -> dict[str, float]:
+    """What was freed came to, by name."""
+    values = diagnosis.after.fit.values
+    return {name: values[name] for name in diagnosis.after.fit.free if name in values}
+
+
+def is_stand_in(diagnosis: Diagnosis, name: str) -> bool:
+    """Whether a value is of an effect that is not named, but only acts like what is there: it has no error."""
+    effect = name.partition(".")[0]
+    stand_ins = [own.effect for own in diagnosis.grades if own.word != "named"]
+    return effect in {*stand_ins, *(one.removeprefix("valve.") for one in stand_ins)}
+
+
+def told_value(diagnosis: Diagnosis, name: str, found: Interval) -> str:
+    """A value with its unit and error; of a stand-in "about" and no error."""
+    unit = named_value(diagnosis.plant, name)[1]
+    return f"about {quantity(found.value, unit, 2)}" if is_stand_in(diagnosis, name) else measured(found, unit)
 
 
 def channels_json(diagnosis: Diagnosis) -> dict[str, dict[str, Any]]:

@@ -11,7 +11,7 @@ from valve_sim.identification.diagnosis.run import Diagnosis, State
 from valve_sim.identification.fit.curves import Unexplained
 from valve_sim.identification.plants.protocol import primary_channels
 from valve_sim.identification.plants.tolerances import GROUP
-from valve_sim.identification.reporting.correction import channels_json, correction_json, names_json
+from valve_sim.identification.reporting.correction import channels_json, correction_json, is_stand_in, names_json
 from valve_sim.identification.reporting.declared_values import declared_json
 from valve_sim.identification.reporting.findings import interval_json, intervals_json
 from valve_sim.identification.reporting.followed_positions import strokes_followed, strokes_json
@@ -53,7 +53,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "correction": correction_json(diagnosis),
         "names": names_json(diagnosis),
         "channels": channels_json(diagnosis),
-        "after": {**_state_json(diagnosis.after, scale, unit), "effects": _effects_json(diagnosis.after)}
+        "after": {**_state_json(diagnosis.after, scale, unit), "effects": _effects_json(diagnosis)}
         if diagnosis.verdict.is_corrected
         else None,
         "inclusion": dict(diagnosis.inclusion),
@@ -115,7 +115,9 @@ def _state_json(state: State, scale: float, unit: str) -> dict[str, Any]:
     }
 
 
-def _effects_json(state: State) -> dict[str, dict[str, Any]]:
+def _effects_json(diagnosis: Diagnosis) -> dict[str, dict[str, Any]]:
+    """What each effect came to; what only stands in for something has no error."""
+    state = diagnosis.after
     effects: dict[str, dict[str, Any]] = {}
     for wrong in state.fit.problem.plant.effects.values():
         if wrong.is_declared_value and set(wrong.free_names()) <= set(state.intervals):
@@ -128,7 +130,10 @@ def _effects_json(state: State) -> dict[str, dict[str, Any]]:
         effect, dot, parameter = name.partition(".")
         if dot and not name.startswith(GROUP):
             was = state.fit.problem.plant.declared(name)
-            effects.setdefault(effect, {})[parameter] = {**interval_json(interval), "was": was}
+            entry = {**interval_json(interval), "was": was}
+            if is_stand_in(diagnosis, name):
+                entry |= {"stderr": None, "ci95": [None, None]}
+            effects.setdefault(effect, {})[parameter] = entry
     for name, value in state.fit.values.items():
         effect, dot, parameter = name.partition(".")
         if dot and effect in effects and parameter not in effects[effect]:

@@ -23,7 +23,7 @@ from valve_sim.identification.fit.noise import Noise
 from valve_sim.identification.plants.effect_titles import named_value, title_of, titles_of
 from valve_sim.identification.plants.protocol import Channel, primary_channels
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.reporting.correction import correction_lines
+from valve_sim.identification.reporting.correction import correction_lines, is_stand_in, told_value
 from valve_sim.identification.reporting.curves import StrokeCurves, strokes_of
 from valve_sim.identification.reporting.declared_values import declared_section, plain_name
 from valve_sim.identification.reporting.findings import remark_on
@@ -38,7 +38,7 @@ from valve_sim.identification.reporting.recording_profile import (
 )
 from valve_sim.identification.reporting.recording_state import recording_rows
 from valve_sim.identification.reporting.summary import recording_advice, summarise
-from valve_sim.identification.reporting.units import gain_words, limits, measured, quantity, three_digits
+from valve_sim.identification.reporting.units import gain_words, limits, quantity, three_digits
 from valve_sim.identification.reporting.wording import (
     choice_words,
     headline,
@@ -279,8 +279,9 @@ def _comparison(diagnosis: Diagnosis, scale: float, unit: str) -> list[tuple[str
     ]
     for name in dict.fromkeys([*before.intervals, *after.intervals]):
         if not _is_drawn(name):
-            words, parameter_unit = named_value(diagnosis.plant, name)
-            rows.append((words, _value(before, name, parameter_unit), _value(after, name, parameter_unit)))
+            values = [state.intervals.get(name) for state in (before, after)]
+            told = ["–" if found is None else told_value(diagnosis, name, found) for found in values]
+            rows.append((named_value(diagnosis.plant, name)[0], *told))
     return rows
 
 
@@ -316,11 +317,6 @@ def _whiteness(state: State) -> str:
     probability = state.adequacy.p_value
     words = f"p = {probability:.2g}" if probability >= _SMALLEST_PROBABILITY else f"p < {_SMALLEST_PROBABILITY:g}"
     return f"{'yes' if state.adequacy.is_white else 'no'} ({words})"
-
-
-def _value(state: State, name: str, unit: str) -> str:
-    found = state.intervals.get(name)
-    return "–" if found is None else measured(found, unit)
 
 
 def _number(value: float, unit: str) -> str:
@@ -362,8 +358,16 @@ def _interval_rows(diagnosis: Diagnosis) -> list[dict[str, str]]:
     for name, found in diagnosis.after.intervals.items():
         if not _is_drawn(name):
             words, unit = named_value(diagnosis.plant, name)
-            value, remark = measured(found, unit), remark_on(found)
-            rows.append({"words": words, "name": name, "value": value, "limits": limits(found, unit), "remark": remark})
+            row = {
+                "words": words,
+                "name": name,
+                "value": told_value(diagnosis, name, found),
+                "limits": "",
+                "remark": "",
+            }
+            if not is_stand_in(diagnosis, name):
+                row |= {"limits": limits(found, unit), "remark": remark_on(found)}
+            rows.append(row)
     return rows
 
 

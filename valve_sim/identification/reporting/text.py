@@ -9,7 +9,7 @@ from valve_sim.identification.diagnosis.run import Diagnosis, Verdict
 from valve_sim.identification.plants.effect_titles import capitalised, named, named_value, title_of
 from valve_sim.identification.plants.protocol import primary_channels
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.reporting.correction import correction_lines
+from valve_sim.identification.reporting.correction import correction_lines, is_stand_in, told_value
 from valve_sim.identification.reporting.declared_values import summary_words
 from valve_sim.identification.reporting.findings import remark_on
 from valve_sim.identification.reporting.recording_state import UNTOLD, recording_lines
@@ -60,7 +60,9 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
         lines.append("  Values of the declared model by itself, which what is missing distorts:")
     for name, found in after.intervals.items():
         unit = named_value(diagnosis.plant, name)[1]
-        lines.append(f"  {name:<{_WIDTH}}{measured(found, unit)}")
+        lines.append(f"  {name:<{_WIDTH}}{told_value(diagnosis, name, found)}")
+        if is_stand_in(diagnosis, name):
+            continue
         if remark := remark_on(found):
             lines += textwrap.wrap(
                 f"95 % interval {limits(found, unit)}: {remark}.", 118, initial_indent="    ", subsequent_indent="    "
@@ -102,6 +104,8 @@ def _nearest_lines(diagnosis: Diagnosis) -> list[str]:
 def _certainty(verdict: Verdict) -> str:
     """How sure the verdict is; of `none` only the probability, because the headline has the rest."""
     if verdict.kind == "insufficient" and verdict.is_cut_short:
+        return f"{kind_words(verdict)[0]}."
+    if verdict.kind == "partly":
         return f"{kind_words(verdict)[0]}."
     probability = f"probability {percent(verdict.probability)}"
     return f"{capitalised(probability)}." if verdict.kind == "none" else f"{kind_words(verdict)[0]} ({probability})."

@@ -13,7 +13,7 @@ from valve_sim.identification.plants.own import OwnPlant
 from valve_sim.identification.plants.protocol import Plant, primary_channels
 from valve_sim.identification.plants.tolerances import GROUP
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.reporting.correction import partly_headline
+from valve_sim.identification.reporting.correction import is_stand_in, partly_headline
 from valve_sim.identification.reporting.declared_values import amount_words, plain_name
 from valve_sim.identification.reporting.units import amount, quantity
 from valve_sim.model import CATALOGUE, Effect, Parameter
@@ -256,15 +256,9 @@ def _amount(diagnosis: Diagnosis, name: str, *, with_declared: bool) -> str:
     parameter, found = diagnosis.plant.parameter(name), diagnosis.after.intervals[name]
     unit = parameter.unit
     words = amount(found, unit) if is_inside(found.value, parameter) else value_words(found.value, parameter)
-    if _is_stand_in(diagnosis, name):
+    if is_stand_in(diagnosis, name):
         words = f"about {quantity(found.value, unit, 2)}"  # a stand-in's value has no error
     return f"{words}, declared {quantity(diagnosis.plant.declared(name), unit)}" if with_declared else words
-
-
-def _is_stand_in(diagnosis: Diagnosis, name: str) -> bool:
-    """Whether a value is of an effect that is not named, but only acts like what is there."""
-    effect = name.partition(".")[0]
-    return any(own.effect == effect and own.word != "named" for own in diagnosis.grades)
 
 
 def is_inside(value: float, parameter: Parameter) -> bool:
