@@ -279,9 +279,11 @@ def _comparison(diagnosis: Diagnosis, scale: float, unit: str) -> list[tuple[str
     ]
     for name in dict.fromkeys([*before.intervals, *after.intervals]):
         if not _is_drawn(name):
-            values = [state.intervals.get(name) for state in (before, after)]
-            told = ["–" if found is None else told_value(diagnosis, name, found) for found in values]
-            rows.append((named_value(diagnosis.plant, name)[0], *told))
+            first, last = (
+                "–" if (found := state.intervals.get(name)) is None else told_value(diagnosis, name, found)
+                for state in (before, after)
+            )
+            rows.append((named_value(diagnosis.plant, name)[0], first, last))
     return rows
 
 
