@@ -27,8 +27,8 @@ from valve_sim.identification.fit.unknown import Hypothesis, Unknown
 
 Limits = Mapping[str, Mapping[str, float]]
 """Limits by effect and by the parameter that switches it, SI."""
-SEARCHED: Final = 200
-"""Largest number of bisections."""
+FINE: Final = 1e-6
+"""Relative width at which a bisection ends."""
 
 
 def detection_limits(fitter: Fitter, tried: Tried) -> dict[str, dict[str, float]]:
@@ -93,7 +93,7 @@ def _limit(own: Unknown, sigma: float, needed: float) -> float:
     low, high = 0.0, sigma
     while high <= most and not is_enough(high):
         high *= 2.0
-    for _ in range(SEARCHED):
+    while high - low > FINE * high:
         middle = 0.5 * (low + high)
         low, high = (low, middle) if is_enough(middle) else (middle, high)
     if high > most or math.isinf(high):

@@ -12,7 +12,6 @@ from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.special import logsumexp
 
 from valve_sim.identification.fit.fitter import Fitter, Tried
 from valve_sim.identification.fit.gaussian import Gaussian
@@ -150,7 +149,8 @@ def log_mean(prior: Prior, estimate: float, sigma: float, ends: tuple[float, flo
     logs = logs - 0.5 * np.square((at - estimate) / sigma) - math.log(math.sqrt(2.0 * math.pi) * sigma)
     gaps = np.diff(at)
     weights = 0.5 * np.concatenate([gaps[:1], gaps[1:] + gaps[:-1], gaps[-1:]])
-    return float(logsumexp(logs, b=weights))
+    most = float(np.max(logs))
+    return most + math.log(float(weights @ np.exp(logs - most))) if math.isfinite(most) else -math.inf
 
 
 def _released(gaussian: Gaussian, place: int, own: Hypothesis) -> float:
