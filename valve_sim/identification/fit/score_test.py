@@ -108,7 +108,10 @@ def tangents(fitter: Fitter, base: Set, tried: Tried, own: Hypothesis) -> list[t
     z, found = model.at({**tried.values, **own.off()}), []
     for switch in [one for one in own.frees if one.is_switch]:
         by = switch.scale if switch.start + switch.scale <= switch.upper else -switch.scale
-        change = model.tangent(z, model.index[switch.name])
+        try:
+            change = model.tangent(z, model.index[switch.name])
+        except SimulationError:  # it cannot be simulated so near off
+            continue
         if change is not None:
             found.append((Move(own.name, switch, by), by * change))
     return found
