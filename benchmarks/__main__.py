@@ -70,7 +70,7 @@ GROUPS: Final[dict[str, tuple[Benchmark, ...]]] = {
         Benchmark("fuzz", "", "minutes for each --share 0.01", "--share 0.01"),
         Benchmark("fuzz", ROS, "minutes", "--only topics"),
     ),
-    "Tests": (Benchmark("mutation", "", "ten minutes", "identification/selection"),),
+    "Tests": (Benchmark("mutation", "", "ten minutes", "identification/fit"),),
     "Fleet": (Benchmark("fleet", FLEET, "two minutes a seed", "--seeds 10"),),
 }
 """What can be run; `test_benchmarks.py` holds that no program is left out."""

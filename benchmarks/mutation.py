@@ -1,4 +1,4 @@
-"""Do the short tests of a room notice small faults in it? `python -m benchmarks.mutation identification/selection`.
+"""Do the short tests of a room notice small faults in it? `python -m benchmarks.mutation identification/fit`.
 
 A mutant is the room with one fault: an exchanged comparison or operator, another constant, a forced condition, a
 missing statement. In a copy of the checkout, with a cache of its own, the tests that execute its line run, fastest
@@ -288,7 +288,7 @@ def default_tests(root: Path, room: str) -> list[str]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure what the command line names."""
     options = parser("mutation", __doc__)
-    options.add_argument("rooms", nargs="+", help="folders or files of valve_sim, such as identification/selection")
+    options.add_argument("rooms", nargs="+", help="folders or files of valve_sim, such as identification/fit")
     options.add_argument("--mutants", type=at_least_one, default=50, help="how many (default: 50)")
     options.add_argument("--seed", type=int, default=0, help="of the draw (default: 0)")
     options.add_argument("--against", type=Path, default=Path(), help="another checkout (default: the working folder)")

@@ -15,7 +15,7 @@ from click.testing import CliRunner
 from shipped import BAGS, ROOT, diagnosed, identified, options
 
 from valve_sim.cli import main as command_line
-from valve_sim.identification.estimation.intervals import Interval
+from valve_sim.identification.fit.intervals import Interval
 
 FOLDER: Final = Path(__file__).parent / "golden"
 PARTS: Final = ("info", "identify", "diagnose")

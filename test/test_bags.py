@@ -7,7 +7,7 @@ import re
 import pytest
 from shipped import ROOT, identified
 
-from valve_sim.identification.estimation.declared_values import out_of_tolerance
+from valve_sim.identification.fit.declared_values import out_of_tolerance
 from valve_sim.traces import list_valves
 
 BAGS = ROOT / "bags"

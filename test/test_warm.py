@@ -20,7 +20,7 @@ import sys
 import numpy as np
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.run import begin
-from valve_sim.identification.estimation.problem import Problem
+from valve_sim.identification.fit.problem import Problem
 from valve_sim.identification.plants.protocol import Direction
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import CATALOGUE, Drive, Stepper, Valve, simulate

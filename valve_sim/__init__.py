@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from valve_sim.files.parameter_files import default_valve, load_valve
     from valve_sim.files.plant_files import load_plant
     from valve_sim.files.recording_map import load_map
-    from valve_sim.identification.estimation.budget import Budget
+    from valve_sim.identification.fit.budget import Budget
     from valve_sim.model.drives import Drive
     from valve_sim.model.valve import Valve
 
@@ -74,7 +74,7 @@ _MODULES: Final = {
     "files.parameter_files": ("default_valve", "load_valve"),
     "files.plant_files": ("load_plant",),
     "files.recording_map": ("load_map",),
-    "identification.estimation.budget": ("Budget",),
+    "identification.fit.budget": ("Budget",),
     "model.drives": ("Drive",),
     "model.valve": ("Valve",),
 }

@@ -24,8 +24,8 @@ from valve_sim.files.recording_map import MapError, RecordingMap, is_of_valve, m
 from valve_sim.files.yaml_files import read_yaml
 from valve_sim.identification.diagnosis import identify as fitting
 from valve_sim.identification.diagnosis import outcome, run
-from valve_sim.identification.estimation.budget import Budget
-from valve_sim.identification.estimation.result import Fit
+from valve_sim.identification.fit.budget import Budget
+from valve_sim.identification.fit.result import Fit
 from valve_sim.identification.plants.own import OwnPlant
 from valve_sim.identification.plants.protocol import primary_channels
 from valve_sim.model import Drive, Response, Valve, published_times

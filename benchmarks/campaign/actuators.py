@@ -20,7 +20,7 @@ from numba import njit
 from benchmarks.campaign.bench import Bench
 from valve_sim.files.plant_files import plant_from
 from valve_sim.identification.diagnosis.run import diagnose_plant
-from valve_sim.identification.estimation.budget import Budget
+from valve_sim.identification.fit.budget import Budget
 from valve_sim.identification.plants.own import OwnPlant
 from valve_sim.traces.columns import read
 

@@ -29,7 +29,7 @@ from benchmarks.campaign.bench import Bench, Measured
 from benchmarks.campaign.declared import declared_valve
 from benchmarks.campaign.effects import CATALOGUED, UNCATALOGUED, Effects, are_confusable, log_uniform
 from benchmarks.campaign.limits import Knowledge, detection_limit, effect_distance, size_at, yardstick
-from valve_sim.identification.estimation.static_force import fit_static_force
+from valve_sim.identification.fit.static_force import fit_static_force
 from valve_sim.model import Valve
 
 NOISES: Final[Mapping[str, Recorder]] = {

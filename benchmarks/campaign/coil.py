@@ -15,9 +15,9 @@ import numpy as np
 from plants import coil_alone, tolerances
 
 from benchmarks.campaign.bench import Bench, Measured
+from valve_sim.identification.diagnosis.followed_positions import followed_positions
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
-from valve_sim.identification.estimation.followed_positions import followed_positions
-from valve_sim.identification.estimation.result import Fit
+from valve_sim.identification.fit.result import Fit
 from valve_sim.model import Drive, Valve, published_times, simulate
 from valve_sim.traces import Signal, Trace
 

@@ -10,11 +10,11 @@ from unittest import mock
 from benchmarks.campaign.running import Answer, Outcome, grounds_of
 from benchmarks.campaign.tables import is_misnamed, standing
 from benchmarks.common import Column, in_columns
-from valve_sim.identification.selection import posterior
+from valve_sim.identification.fit import posterior
 
 
 class Constant(NamedTuple):
-    """A constant of `selection.posterior`, what it means, and other values: a third of it, and three times it."""
+    """A constant of `fit.posterior`, what it means, and other values: a third of it, and three times it."""
 
     name: str
     meaning: str

@@ -24,7 +24,7 @@ from benchmarks.campaign.bench import Bench, Measured
 from benchmarks.campaign.declared import as_trace, declared_valve
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
-from valve_sim.identification.estimation.budget import Budget
+from valve_sim.identification.fit.budget import Budget
 from valve_sim.model import Drive, Valve
 from valve_sim.traces import Trace, read_trace, write_bag
 from valve_sim.traces.synthetic import Sensor, record

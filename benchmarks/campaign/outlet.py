@@ -17,8 +17,9 @@ from plants.gas import GasValve
 
 from benchmarks.campaign.bench import Bench, Measured
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
-from valve_sim.identification.estimation.budget import Budget
-from valve_sim.identification.selection.search import Search
+from valve_sim.identification.fit.budget import Budget
+from valve_sim.identification.fit.search import Search
+from valve_sim.identification.fit.starts import starts_of
 from valve_sim.model import Drive, Valve, simulate
 from valve_sim.traces import Signal, Trace
 
@@ -158,5 +159,9 @@ def _judged(found: Diagnosis, case: Drawn, missing: str) -> Measured:
     measured = {"equalises, %": 100.0 * (equalises / case.equalises - 1.0)}
     if missing:
         search = Search(found.before.fit.problem)
-        measured["χ² falls by"] = search.fit(()).chi2 - search.fit((missing,)).chi2
+        search.fit_declared()
+        fitter, declared = search.fitter, search.tried[()]
+        starts = starts_of(fitter, (missing,), (), declared)
+        fits = [fitter.descended(fitter.model((missing,)), start.values) for start in starts]
+        measured["χ² falls by"] = declared.fit.cost - min(one.cost for one in fits if one is not None)
     return measured

@@ -100,7 +100,7 @@ def recording() -> Figure:
     print(*(f"{own.title} {1e6 * own.size:.2f} ± {1e6 * own.stderr:.2f} µm, {own.probability:.2f}"
             for own in next(iter(found.recording.values())) if own.unit == "m"), sep="; ")  # fmt: skip
     print(found)
-    shown = fit.errors_of(fit.left.condensed())[0]
+    shown = fit.added[0]
     figure = Figure(figsize=(8, 3.2), layout="constrained")
     axes = figure.subplots()
     axes.plot(1e3 * trace.times, 1e6 * (drift + hum), color=GREY, linewidth=2.4, label="put in")

@@ -10,9 +10,9 @@ import pytest
 from plants.coil_alone import Build, simulate
 
 from identification.recordings import Short
+from valve_sim.identification.diagnosis.followed_positions import followed_positions
 from valve_sim.identification.diagnosis.identify import identify
 from valve_sim.identification.diagnosis.run import diagnose, diagnose_plant
-from valve_sim.identification.estimation.followed_positions import followed_positions
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.diagnosis_json import to_json
 from valve_sim.identification.reporting.identification import identification_json, identification_text

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from plants.recording import Recorder
 
-from identification.selection.linear_plant import COLUMNS, SAMPLES, LinearPlant
+from identification.fit.linear_plant import COLUMNS, SAMPLES, LinearPlant
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose_plant
 from valve_sim.identification.plants.protocol import Array, EffectChoice
 from valve_sim.model import Parameter, Valve

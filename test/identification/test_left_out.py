@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from plants.recording import Recorder
 
+from identification.freed import fit
 from identification.recordings import recorded
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.identify import signal_errors
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
-from valve_sim.identification.estimation import problem as problems
-from valve_sim.identification.estimation.noise import estimate_noise
-from valve_sim.identification.estimation.problem import Problem
-from valve_sim.identification.estimation.result import rmse
-from valve_sim.identification.estimation.solver import fit
+from valve_sim.identification.fit import problem as problems
+from valve_sim.identification.fit.noise import estimate_noise
+from valve_sim.identification.fit.problem import Problem
+from valve_sim.identification.fit.result import rmse
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.validation.replay import validate
 from valve_sim.model import Valve

@@ -14,12 +14,12 @@ import pytest
 from click.testing import CliRunner
 from model.gas.cases import gas_valve, independent
 
+from identification.freed import fit
 from valve_sim.cli.program import main
 from valve_sim.files.parameter_files import save_valve
 from valve_sim.identification.diagnosis.identify import Identification, check_free, identify
-from valve_sim.identification.estimation.problem import Problem
-from valve_sim.identification.estimation.result import Fit
-from valve_sim.identification.estimation.solver import fit
+from valve_sim.identification.fit.problem import Problem
+from valve_sim.identification.fit.result import Fit
 from valve_sim.identification.monitoring.findings import OpenedPartly, WaitsForPressure
 from valve_sim.identification.monitoring.segmenter import StrokeSegmenter
 from valve_sim.identification.monitoring.settings import MonitorSettings

@@ -1,7 +1,6 @@
 """Statements that a review saw fail, by its numbers (T 1 to T 5, T 10), on the recordings that it left.
 
-Each is what is right. The fit and the loop that make it so come later, so each fails today; whoever makes one pass
-takes its mark off. T 3 and T 4 are not strict: since the reader takes a freewheel voltage for no command they may pass.
+Each is what is right. Whoever makes one pass that is marked to fail takes its mark off.
 """
 
 from __future__ import annotations
@@ -29,8 +28,8 @@ CLAIMED = ("effects", "partly")
 needs_inputs = pytest.mark.skipif(not INPUTS.is_dir(), reason="the recordings of the review are not here")
 
 
-def later(reason: str, *, strict: bool = True) -> pytest.MarkDecorator:
-    return pytest.mark.xfail(strict=strict, raises=AssertionError, reason=reason)
+def later(reason: str) -> pytest.MarkDecorator:
+    return pytest.mark.xfail(strict=True, raises=AssertionError, reason=reason)
 
 
 def own_machine(folder: str, plant: str, *logs: str, holdout: str = "") -> vs.Diagnosis:
@@ -65,7 +64,6 @@ def own_valve(folder: str) -> vs.Diagnosis:
 
 
 @needs_inputs
-@later("errors of the current's channel make something unnamed of a right answer", strict=False)
 def test_hum_on_the_current_does_not_void_the_friction() -> None:
     """T 3."""
     found = own_valve("hard_stop_hum")
@@ -76,7 +74,6 @@ def test_hum_on_the_current_does_not_void_the_friction() -> None:
 
 
 @needs_inputs
-@later("unknown corrects nothing, although the nearest set explains nearly all of unseen strokes", strict=False)
 def test_what_predicts_unseen_strokes_is_in_the_corrected_valve() -> None:
     """T 4: a stop that gives, beside friction and a bounce."""
     found = own_valve("soft_stop")

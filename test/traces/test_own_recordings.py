@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -458,6 +459,44 @@ def test_a_first_map_takes_no_rate_out_of_the_air(repeated: int, digits: int, tm
     (tmp_path / "map.yaml").write_text("time: {rate: 20000}\ncommand: 2\nposition: {column: 3, unit: mm}\n")
     summary = describe(read_trace(path, None, load_map(tmp_path / "map.yaml")))
     assert summary.timed_by == f"the rate of 20000 Hz in {tmp_path / 'map.yaml'}"
+
+
+DRAFTED = {
+    # the head, a row of t s, u V and x mm, and what the draft says of the time and the position
+    "stamps": ("sec,nanosec,u,lift", "{s},{ns},{u:.4f},{x:.5f}", "[sec, nanosec], unit: [s, ns]", "lift, unit: mm"),
+    "stamps without names": ("", "{s},{ns},{u:.4f},{x:.5f}", "column: ['1', '2'], unit: [s, ns]", "'4', unit: mm"),
+    "date and time": ("Date,Time,u,lift", "{d:%Y-%m-%d,%H:%M:%S.%f},{u:.4f},{x:.5f}", "[Date, Time]", "lift, unit: mm"),
+    "American dates": (
+        "t,u,lift", "{d:%m/%d/%Y %I:%M:%S.%f %p},{u:.4f},{x:.5f}", "'%m/%d/%Y %I:%M:%S.%f %p'", "lift, unit: mm",
+    ),
+    "voltages of a card": ("X_Value,Voltage,Voltage 1", "{t:.6f},{u:.4f},{x:.5f}", "X_Value", "Voltage 1, unit: mm"),
+    "nanometres": ("t,u,lift", "{t:.6f},{u:.4f},{nm:.0f}", "column: t", "lift, unit: nm"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", DRAFTED)
+def test_a_first_map_of_a_table_finds_its_time_and_its_position(kind: str, tmp_path: Path, made: Recording) -> None:
+    head, form, time, position = DRAFTED[kind]
+    lines, midnight = [head] if head else [], datetime(2024, 3, 2, 23, 59, 59, 950_000)
+    for t, x in zip(made.times.tolist(), made.pilot_position.tolist(), strict=True):
+        u = float(made.volts[max(0, int(np.searchsorted(made.command_times, t, side="right")) - 1)])
+        s, ns = divmod(1_709_390_268_950_000_000 + round(1e9 * t), 10**9)
+        row = {"t": t, "s": s, "ns": ns, "d": midnight + timedelta(seconds=t), "u": u, "x": 1e3 * x, "nm": 1e9 * x}
+        lines.append(form.format(**row))
+    (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")
+    text = draft_map(tmp_path / "a.csv", VALVE, "valve-sim map")
+    assert time in next(line for line in text.splitlines() if line.startswith("time:"))
+    assert position in next(line for line in text.splitlines() if line.startswith("position:")), text
+    (tmp_path / "map.yaml").write_text(text)
+    found = read_trace(tmp_path / "a.csv", None, load_map(tmp_path / "map.yaml"))
+    np.testing.assert_allclose(found.times, made.times - made.times[0], atol=1e-6)
+
+
+def test_a_table_without_a_voltage_has_no_draft_but_words_on_its_columns(tmp_path: Path, made: Recording) -> None:
+    columns = np.column_stack([made.times, 1e3 * made.pilot_position, 20.0 + 0.01 * np.sin(made.times)])
+    np.savetxt(tmp_path / "a.csv", columns, delimiter=",", header="t,lift,degC", comments="", fmt="%.6f")
+    with pytest.raises(TraceError, match=r"neither command nor voltage.* lift: .* a position.*degC: .* a temperature"):
+        draft_map(tmp_path / "a.csv", VALVE, "valve-sim map")
 
 
 def test_nothing_that_moves_is_said(tmp_path: Path, made: Recording) -> None:

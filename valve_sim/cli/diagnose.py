@@ -89,7 +89,7 @@ def diagnose(
     from valve_sim.files.whole_files import refuse_unwritable
     from valve_sim.identification.diagnosis.run import diagnose as diagnose_valve
     from valve_sim.identification.diagnosis.run import diagnose_plant
-    from valve_sim.identification.estimation.budget import Budget
+    from valve_sim.identification.fit.budget import Budget
     from valve_sim.identification.reporting.diagnosis_json import to_json
     from valve_sim.identification.reporting.files import FILES, write_diagnosis
     from valve_sim.identification.reporting.text import diagnosis_text

@@ -57,7 +57,7 @@ def fit_force(
     from valve_sim.files.parameter_files import save_valve
     from valve_sim.files.recording_map import load_force_map
     from valve_sim.files.whole_files import write_whole
-    from valve_sim.identification.estimation.static_force import fit_static_force
+    from valve_sim.identification.fit.static_force import fit_static_force
     from valve_sim.identification.reporting.figures import plot_static_force
     from valve_sim.identification.reporting.findings import remarks
     from valve_sim.identification.reporting.identification import static_force_json, static_force_text

@@ -34,7 +34,7 @@ _OF_A_BAG: Final = (
     Column("findings", LIST, "", "what was dropped or repaired on reading"),
 )
 _OF_A_DIAGNOSIS: Final = (
-    Column("verdict", TEXT, "", "none, effects, unknown or insufficient, as in report.json"),
+    Column("verdict", TEXT, "", "none, effects, partly, unknown or insufficient, as in report.json"),
     Column("effects", LIST, "", "effects that are named"),
     Column("out_of_tolerance", LIST, "", "declared values beyond 3 of their tolerances"),
     Column("probability", NUMBER, "", "posterior, of what the verdict claims"),

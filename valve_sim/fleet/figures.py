@@ -15,10 +15,10 @@ import numpy as np
 
 from valve_sim.fleet.columns import BEFORE, MOTION, declared_quantities, effect_column
 from valve_sim.fleet.units import Row
-from valve_sim.identification.estimation.declared_values import declared_values, estimated_valve
-from valve_sim.identification.estimation.followed_positions import a_standard_error_apart
-from valve_sim.identification.estimation.result import Fit
-from valve_sim.identification.estimation.solver import fit
+from valve_sim.identification.diagnosis.followed_positions import a_standard_error_apart
+from valve_sim.identification.fit.declared_values import declared_values, estimated_valve
+from valve_sim.identification.fit.result import Fit, fit
+from valve_sim.identification.fit.unknown import known, unknowns_of
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import DECLARED, Drive, EventKind, Valve, ValveError, published_times, simulate
 
@@ -97,8 +97,9 @@ def with_errors_of_stamps(declared: Fit) -> Fit:
         SimulationError: the valve cannot be simulated.
     """
     plant = declared.problem.plant
-    nuisances = (*plant.nuisances, *plant.timing_errors)
-    return fit(declared.problem, plant.base, declared.values, nuisances=nuisances)
+    unknowns = unknowns_of(plant)
+    stamps = [known(own) for own in plant.timing_errors]
+    return fit(declared.problem, [*unknowns.base, *unknowns.known, *stamps], declared.values)
 
 
 def valve_columns(result: Fit, plant: ValvePlant) -> Row:

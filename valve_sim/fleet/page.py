@@ -35,8 +35,8 @@ MOST_LISTED: Final = 5000
 FIRST_LISTED: Final = 8
 """Of them, those that are shown at once; the others unfold."""
 _VERDICTS: Final = {
-    "none": "nothing missing", "effects": "effects found", "unknown": "something without a name",
-    "insufficient": "cannot be told",
+    "none": "nothing missing", "effects": "effects found", "partly": "corrected in part",
+    "unknown": "something without a name", "insufficient": "cannot be told",
 }  # fmt: skip
 
 

@@ -9,13 +9,13 @@ from valve_sim.fleet.figures import followed_columns, valve_columns, with_errors
 from valve_sim.fleet.units import Row
 from valve_sim.identification.diagnosis.outcome import Diagnosis
 from valve_sim.identification.diagnosis.run import DiagnosisSession, begin
-from valve_sim.identification.estimation.budget import Budget
-from valve_sim.identification.estimation.declared_values import declared_values, out_of_tolerance
-from valve_sim.identification.estimation.result import Fit, rmse
+from valve_sim.identification.fit.budget import Budget
+from valve_sim.identification.fit.declared_values import declared_values, out_of_tolerance
+from valve_sim.identification.fit.residual_tests import adequacy
+from valve_sim.identification.fit.result import Fit, rmse
 from valve_sim.identification.plants.protocol import Plant
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.summary import summarise
-from valve_sim.identification.selection.residual_tests import adequacy
 from valve_sim.model import Valve
 from valve_sim.traces import Trace, left_out_finding, stroke_starts
 

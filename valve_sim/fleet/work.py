@@ -85,19 +85,17 @@ def _refused(unit: Unit, path: Path, error: Exception) -> Row:
 
 def _diagnosed(unit: Unit, path: Path, output: Path) -> tuple[Row, dict[str, str]]:
     from valve_sim.fleet.rows import refitted, row_values, row_without_search
-    from valve_sim.identification.estimation.budget import Budget
-    from valve_sim.identification.estimation.parallel import threads_limited_to
+    from valve_sim.identification.fit.budget import Budget
     from valve_sim.identification.reporting.files import write_diagnosis
     from valve_sim.traces import read_trace, refuse_doubtful_units
 
     trace = read_trace(path, unit.valve)
     refuse_doubtful_units(trace, unit.declared.parameters)
     trace = dataclasses.replace(trace, source=f"{unit.bag.source} ({unit.valve})")
-    with threads_limited_to(1):
-        begun, followed = refitted(trace, unit.declared, Budget.of_seconds(unit.options.budget))
-        if not unit.options.search:
-            return unit.row(EXAMINED, **row_without_search(trace, followed)), {}
-        diagnosis = begun.end(is_full=unit.options.full)
+    begun, followed = refitted(trace, unit.declared, Budget.of_seconds(unit.options.budget))
+    if not unit.options.search:
+        return unit.row(EXAMINED, **row_without_search(trace, followed)), {}
+    diagnosis = begun.end(is_full=unit.options.full)
     values = row_values(trace, diagnosis, followed)
     if values["verdict"] == "none" and not values["out_of_tolerance"]:
         return unit.row(EXAMINED, **values), {}

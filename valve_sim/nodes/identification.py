@@ -23,7 +23,7 @@ from std_msgs.msg import Float64, String
 
 from valve_sim.files.parameter_files import default_valve, load_recorded_valve
 from valve_sim.files.parameter_sections import Section, write_sections
-from valve_sim.identification.estimation.intervals import Interval
+from valve_sim.identification.fit.intervals import Interval
 from valve_sim.model import ParameterError, Valve
 from valve_sim.nodes import topics
 from valve_sim.nodes.diagnostics import Status

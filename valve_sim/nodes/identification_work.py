@@ -21,9 +21,9 @@ from valve_sim.files.parameter_files import save_valve
 from valve_sim.files.recording_map import load_map
 from valve_sim.identification.diagnosis.handing_on import handed_on
 from valve_sim.identification.diagnosis.identify import Identification, identify
-from valve_sim.identification.estimation.declared_values import out_of_tolerance
-from valve_sim.identification.estimation.findings import leaves_more_than_noise
-from valve_sim.identification.estimation.intervals import Interval
+from valve_sim.identification.fit.declared_values import out_of_tolerance
+from valve_sim.identification.fit.findings import leaves_more_than_noise
+from valve_sim.identification.fit.intervals import Interval
 from valve_sim.identification.plants.valve import DAMPINGS, dampings_of
 from valve_sim.identification.plants.valve_sensors import response_to
 from valve_sim.identification.reporting.identification import identification_json
@@ -49,7 +49,7 @@ _UNKNOWN: Final = math.nan
 IDENTIFIED_FILE: Final = "identified.yaml"
 CORRECTED_FILE: Final = "corrected.yaml"
 BEFORE_FILE: Final = "before.yaml"
-_NAMED: Final = ("none", "effects")
+_NAMED: Final = ("none", "effects", "partly")
 Progress = Callable[[str, float], None]
 
 
@@ -335,7 +335,7 @@ def _diagnosed(
     # Imported where it is needed: it takes half a second.
     from valve_sim.identification.diagnosis.outcome import objection_to, what_is_left
     from valve_sim.identification.diagnosis.run import diagnose
-    from valve_sim.identification.estimation.budget import Budget
+    from valve_sim.identification.fit.budget import Budget
     from valve_sim.identification.reporting.diagnosis_json import to_json
     from valve_sim.identification.reporting.recording_profile import write_record_next
     from valve_sim.identification.reporting.summary import summarise
@@ -343,7 +343,7 @@ def _diagnosed(
     result = diagnose([trace], [], declared, progress, Budget.of_seconds(settings.budget))
     file = folder / CORRECTED_FILE
     summary, report = summarise(result), to_json(result)
-    if result.verdict.kind == "effects" and (left := what_is_left(result)):
+    if result.verdict.is_corrected and (left := what_is_left(result)):
         summary += f" Beside it {left}."
     provenance = _provenance(settings, summary)
     save_valve(file, result.valve, provenance)

@@ -12,7 +12,6 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final, NamedTuple
 
-from valve_sim.identification.estimation.parallel import threads_limited_to
 from valve_sim.identification.monitoring.agreement import Agreement
 from valve_sim.identification.monitoring.fault_isolation import FaultFinding, isolate_fault
 from valve_sim.identification.monitoring.findings import Fault, Occasion, StrokeRecord, StrokeState
@@ -177,9 +176,7 @@ class FaultIsolation:
     def _run(self) -> None:
         while (work := self._take()) is not None:
             try:
-                # The other processors are for the live path, and for the nodes of other valves.
-                with threads_limited_to(1):
-                    finding = isolate_fault(work.strokes, work.baseline, self._say)
+                finding = isolate_fault(work.strokes, work.baseline, self._say)
             except _Cancelled:
                 continue
             except (ValveError, ArithmeticError, ValueError) as error:

@@ -33,12 +33,12 @@ HINTS = {key: channel.hint for key, channel in CHANNELS.items() if channel.hint}
 """Words in the names of a channel's topics, fields and columns."""
 BESIDE = [key for key in HINTS if key in SIGNALS and key != "voltage"]
 """What is looked for beside voltage and position."""
-PLAIN = re.compile(r"(?:time|t|zeit|timestamp|sec|seconds|elapsed).*", re.IGNORECASE)
+PLAIN = re.compile(r"(?:time|t|zeit|uhrzeit|timestamp|sec|seconds|elapsed).*", re.IGNORECASE)
 FEW_MESSAGES = 0.2
 """A topic with less than this share of the messages of another is a command: sent when it changes."""
 MOST_LEVELS = 12
 """A voltage rests at so few levels at most."""
-RESTS = 0.8
+RESTS = 0.6
 """Share of a position's samples that are at either end, or more."""
 MOST_LISTED = 40
 WHOLE = re.compile(r"date|datum|day|tag|(.*[^a-z])?(s|sec|secs|seconds)", re.IGNORECASE)
@@ -49,6 +49,8 @@ FORMS = tuple(
     for day in ("%m/%d/%Y", "%d/%m/%Y", "%d-%b-%Y", "%d %b %Y", "%b %d, %Y", "%Y-%m-%d", "%d.%m.%Y")
 )
 """Dates that are tried beside ISO and German ones."""
+NANOSECONDS = (1e6, 1e9)
+"""Between which the largest lies of a recording that lasts longer than a millisecond."""
 EXCEL_DAYS = (2e4, 8e4)
 """Days since 1899, of 1954 to 2119: a spreadsheet's dates as numbers."""
 
@@ -94,7 +96,7 @@ def draft_map(path: Path, parameters: ValveParameters, command: str) -> str:
     if not moving:
         names = ", ".join(entry.name for entry in series[:12]) or "no number at all"
         raise TraceError(f"{path}: nothing in it moves ({names}); record while the valve works")
-    moving = [entry for entry in moving if not _counts(entry) or _names(entry, "position")] or moving
+    moving = [entry for entry in moving if not _counts(entry) or re.search(HINTS["position"], entry.words)] or moving
     used: set[str] = set()
     for valve, guesses in _valves(moving, parameters).items():
         indent = ""
@@ -300,7 +302,9 @@ def _position_guess(quantity: str, entry: Series, parameters: ValveParameters) -
         unit = entry.unit
         reasons.append("unit as the file says")
     else:
-        unit = min(("m", "mm", "um"), key=lambda name: abs(np.log(units[name].factor * entry.span / parameters.stroke)))
+        unit = min(
+            ("m", "mm", "um", "nm"), key=lambda name: abs(np.log(units[name].factor * entry.span / parameters.stroke))
+        )
         reasons.append(f"CHECK unit: travels {entry.span:.4g}, the declared stroke is {parameters.stroke:.4g} m")
     settings["unit"] = unit
     sign = -1 if entry.at_rest - entry.low > entry.high - entry.at_rest else 1
@@ -365,13 +369,22 @@ def _numbers(table: DataTable, name: str) -> NDArray[np.float64] | None:
 
 def _is_part(table: DataTable, first: str, second: str) -> bool:
     """Whether two columns hold one time: a day and a time of day, or seconds and their fractions."""
+    if first.isdigit():  # without names: as `ros2 topic echo --csv` writes a stamp
+        seconds, rest = _numbers(table, first), _numbers(table, second)
+        return seconds is not None and rest is not None and _is_stamp(seconds, rest)
     is_fraction = any(part.fullmatch(second) for part in PARTS.values())
     return (is_fraction or PLAIN.fullmatch(second) is not None) and WHOLE.fullmatch(first) is not None
 
 
+def _is_stamp(seconds: NDArray[np.float64], rest: NDArray[np.float64]) -> bool:
+    """Whether two columns hold seconds that ascend and their nanoseconds."""
+    are_whole = all((own == np.round(own)).all() and own.min() >= 0.0 for own in (seconds, rest))
+    return bool(are_whole and (np.diff(seconds) >= 0.0).all() and NANOSECONDS[0] < rest.max() < NANOSECONDS[1])
+
+
 def _whole_stamp(table: DataTable, pair: tuple[str, str]) -> tuple[dict[str, object], str] | None:
     """The entry of a time in two columns, if it is one."""
-    unit = next((name for name, part in PARTS.items() if part.fullmatch(pair[1])), "")
+    unit = next((name for name, part in PARTS.items() if part.fullmatch(pair[1])), "ns" if pair[0].isdigit() else "")
     entry: dict[str, object] = {"column": list(pair), **({"unit": ["s", unit]} if unit else {})}
     try:
         table.row_times(time_axis(Entries("", MapError), entry))

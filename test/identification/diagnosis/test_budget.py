@@ -8,7 +8,7 @@ import pytest
 from plants.recording import Recorder, train_profile
 
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose, diagnose_plant
-from valve_sim.identification.estimation.budget import DERIVATIVES, STROKES_A_SECOND, Budget
+from valve_sim.identification.fit.budget import DERIVATIVES, STROKES_A_SECOND, Budget
 from valve_sim.identification.reporting.diagnosis_json import to_json
 from valve_sim.identification.reporting.summary import summarise
 from valve_sim.model import ValveError

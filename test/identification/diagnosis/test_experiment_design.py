@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from plants.recording import Profile, Recorder, single_opening
 
+from identification.freed import fit
 from identification.recordings import recorded
 from valve_sim.identification.diagnosis.experiment_design import (
     FEWEST_REPEATS,
@@ -14,9 +15,8 @@ from valve_sim.identification.diagnosis.experiment_design import (
     Recommendation,
     recommend,
 )
-from valve_sim.identification.estimation.problem import Problem
-from valve_sim.identification.estimation.result import Fit
-from valve_sim.identification.estimation.solver import fit
+from valve_sim.identification.fit.problem import Problem
+from valve_sim.identification.fit.result import Fit
 from valve_sim.identification.plants.protocol import Experiment
 from valve_sim.identification.plants.valve import ValvePlant, volts_at
 from valve_sim.identification.reporting.recording_profile import STROKE_LEVELS, duration_of, write_profile

@@ -16,7 +16,7 @@ from benchmarks.coverage import measure
 from identification.recordings import TRUTH, one_opening, recorded, shortened
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.identify import Identification, check_free, identify
-from valve_sim.identification.estimation.findings import (
+from valve_sim.identification.fit.findings import (
     Correlated,
     ExplainedByErrors,
     LacksSomething,
@@ -25,7 +25,7 @@ from valve_sim.identification.estimation.findings import (
     OnBound,
     StampErrors,
 )
-from valve_sim.identification.estimation.intervals import Unbounded
+from valve_sim.identification.fit.intervals import Unbounded
 from valve_sim.identification.reporting.identification import identification_json, identification_text
 from valve_sim.model import ParameterError, Valve
 

@@ -8,7 +8,7 @@ from plants.recording import Recorder
 from identification.recordings import recorded
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.run import begin
-from valve_sim.identification.estimation.noise import Noise
+from valve_sim.identification.fit.noise import Noise
 from valve_sim.identification.plants.valve import ValvePlant
 
 

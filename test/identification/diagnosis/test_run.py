@@ -10,7 +10,7 @@ from plants.recording import Profile, Recorder, holdout_profile, single_opening,
 
 from identification.recordings import recorded
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
-from valve_sim.identification.estimation.intervals import Unbounded
+from valve_sim.identification.fit.intervals import Unbounded
 from valve_sim.identification.reporting.diagnosis_json import to_json
 from valve_sim.identification.reporting.recording_state import UNTOLD
 from valve_sim.identification.reporting.summary import recording_advice

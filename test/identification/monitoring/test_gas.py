@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from model.gas.cases import gas_valve, independent
 
-from valve_sim.identification.estimation.intervals import Interval, covariance_interval
-from valve_sim.identification.estimation.noise import Noise
-from valve_sim.identification.estimation.problem import Problem
-from valve_sim.identification.estimation.result import Fit
-from valve_sim.identification.estimation.solver import fit
+from identification.freed import fit
+from valve_sim.identification.fit.intervals import Interval, covariance_interval
+from valve_sim.identification.fit.noise import Noise
+from valve_sim.identification.fit.problem import Problem
+from valve_sim.identification.fit.result import Fit
 from valve_sim.identification.monitoring.command_timing import UNINFORMATIVE, StrokeTiming
 from valve_sim.identification.monitoring.commissioning import Commissioning, ScoreBaseline
 from valve_sim.identification.monitoring.fault_isolation import join

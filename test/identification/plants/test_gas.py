@@ -9,7 +9,7 @@ import pytest
 from model.gas.cases import gas_valve
 
 from valve_sim.identification.diagnosis.identify import check_free, identify
-from valve_sim.identification.estimation.declared_values import out_of_tolerance
+from valve_sim.identification.fit.declared_values import out_of_tolerance
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.plants.valve_model import ValveModel
 from valve_sim.model import Drive, ParameterError, Tolerances, Valve, simulate

@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from identification.fit.linear_plant import SAMPLES, LinearPlant, measured
 from valve_sim.identification.plants.hold_out import held_out_strokes
-
-from ..selection.linear_plant import SAMPLES, LinearPlant, measured
 
 
 class Levels(LinearPlant):

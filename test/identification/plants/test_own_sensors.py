@@ -168,7 +168,9 @@ def test_what_such_a_plant_lacks_is_named_beside_its_errors(laboratory: Laborato
 @pytest.mark.parametrize("radiation", [0.0, 1e-3])
 def test_without_them_the_plant_is_said_to_lack_something_else(radiation: float) -> None:
     data, _ = recorded(EVERYTHING, 1, radiation=radiation)
-    assert diagnose_plant(Lag(data, None, varies=False), None).verdict.kind == "unknown"
+    verdict = diagnose_plant(Lag(data, None, varies=False), None).verdict
+    assert verdict.kind in ("unknown", "partly")
+    assert verdict.unnamed > 0.5
 
 
 class KnownGain(Lag):

@@ -10,7 +10,7 @@ import pytest
 from plants.recording import Recorder, train_profile
 
 from identification.recordings import recorded
-from valve_sim.identification.estimation.noise import estimate_noise
+from valve_sim.identification.fit.noise import estimate_noise
 from valve_sim.identification.plants.protocol import Channel
 from valve_sim.identification.plants.valve_sensors import channels_of
 from valve_sim.traces import Signal

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from valve_sim.identification.estimation.findings import (
+from valve_sim.identification.fit.findings import (
     Correlated,
     ExplainedByErrors,
     Finding,
@@ -17,8 +17,8 @@ from valve_sim.identification.estimation.findings import (
     OnBound,
     StampErrors,
 )
-from valve_sim.identification.estimation.intervals import Interval, Unbounded
-from valve_sim.identification.estimation.static_force import (
+from valve_sim.identification.fit.intervals import Interval, Unbounded
+from valve_sim.identification.fit.static_force import (
     BeginsLate,
     EndsEarly,
     Opening,

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from valve_sim.identification.fit.curves import Unexplained
 from valve_sim.identification.reporting.force_curves import Motion, force_curve
-from valve_sim.identification.selection.force_maps import Unexplained
 
 KNOTS = 8
 POINTS = 141

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import pytest
 
 from valve_sim.identification.diagnosis.run import Verdict
-from valve_sim.identification.estimation.intervals import Interval
+from valve_sim.identification.fit.intervals import Interval
 from valve_sim.identification.monitoring.fault_isolation import FaultFinding
 from valve_sim.identification.monitoring.findings import (
     DidNotClose,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from valve_sim.identification.estimation.intervals import Interval, Unbounded
+from valve_sim.identification.fit.intervals import Interval, Unbounded
 from valve_sim.identification.reporting.findings import remark_on
 from valve_sim.identification.reporting.units import signed
 

@@ -12,8 +12,8 @@ from plants.recording import Recorder
 from identification.recordings import friction_found, recorded
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
-from valve_sim.identification.estimation.declared_values import DeclaredValue, out_of_tolerance
-from valve_sim.identification.estimation.intervals import Interval
+from valve_sim.identification.fit.declared_values import DeclaredValue, out_of_tolerance
+from valve_sim.identification.fit.intervals import Interval
 from valve_sim.identification.plants.effect_titles import title_of
 from valve_sim.identification.reporting.declared_values import amount_words, declared_lines, summary_words
 from valve_sim.identification.reporting.diagnosis_json import to_json

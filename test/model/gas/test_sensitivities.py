@@ -33,7 +33,7 @@ def plant_of(valve: Valve, **measured: Signal | float) -> ValvePlant:
 
 def derivative(plant: ValvePlant, values: Mapping[str, float], name: str, size: float) -> np.ndarray:
     """For a change by its size."""
-    columns, known = plant.sensitivities(values, [Direction({name: size}, 1e-5)])
+    columns, known, _ = plant.sensitivities(values, [Direction({name: size}, 1e-5)])
     assert known.all()
     return np.asarray(columns[-1][:, 0])
 

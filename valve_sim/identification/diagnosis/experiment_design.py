@@ -11,14 +11,15 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
-from valve_sim.identification.estimation.problem import Problem
-from valve_sim.identification.estimation.result import Fit
-from valve_sim.identification.estimation.solver import fit
+from valve_sim.identification.fit.held_out import machine_values
+from valve_sim.identification.fit.priors import Normal
+from valve_sim.identification.fit.problem import Problem
+from valve_sim.identification.fit.result import Fit, fit
+from valve_sim.identification.fit.unknown import unknowns_of
 from valve_sim.identification.plants.protocol import Experiment
-from valve_sim.identification.selection.prediction import machine_values
 from valve_sim.model import SimulationError
 
 TELLS_APART: Final = 5.0
@@ -93,11 +94,13 @@ def _left_of(experiment: Experiment, truth: Fit, rival: Fit) -> float:
     plant = experiment.simulated(machine_values(truth))
     problem = Problem(plant, noises=truth.problem.noises, budget=truth.problem.budget)
     # A declared value with a tolerance may move again, from where the data at hand have left it.
-    nuisances = [
-        nuisance._replace(mean=rival.values.get(nuisance.name, nuisance.mean)) if nuisance.is_of_machine else nuisance
-        for nuisance in plant.nuisances
+    known = [
+        replace(own, prior=Normal(rival.values.get(own.name, own.prior.mean), own.prior.sigma))
+        if own.of_machine and isinstance(own.prior, Normal)
+        else own
+        for own in unknowns_of(plant).known
     ]
-    movable = {*rival.free, *(nuisance.name for nuisance in nuisances)}
-    fixed = {name: value for name, value in machine_values(rival).items() if name not in movable}
-    refit = fit(problem, rival.free, rival.values, nuisances=nuisances, fixed=fixed)
-    return math.sqrt(refit.chi2)
+    freed = [own for own in rival.model.moving if own.is_freed]
+    movable = {own.name for own in (*freed, *known)}
+    held = {name: value for name, value in machine_values(rival).items() if name not in movable}
+    return math.sqrt(fit(problem, [*freed, *known], rival.values, held=held).chi2)

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from typing import Final, NamedTuple
 
 from valve_sim.identification.diagnosis.identify import signal_errors
-from valve_sim.identification.estimation.declared_values import estimated_valve
-from valve_sim.identification.estimation.intervals import Interval
-from valve_sim.identification.estimation.result import Fit
+from valve_sim.identification.fit.declared_values import estimated_valve
+from valve_sim.identification.fit.intervals import Interval
+from valve_sim.identification.fit.result import Fit
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import Valve
 

@@ -11,22 +11,20 @@ from typing import Final
 
 import numpy as np
 
-from valve_sim.identification.estimation.declared_values import DeclaredValue, declared_values, estimated_valve
-from valve_sim.identification.estimation.findings import Finding, findings, leaves_more_than_noise
-from valve_sim.identification.estimation.gram import sum_squares
-from valve_sim.identification.estimation.intervals import Interval, profile_interval
-from valve_sim.identification.estimation.linearised import Linearised
-from valve_sim.identification.estimation.problem import Problem, is_long
-from valve_sim.identification.estimation.recorded_errors import RecordedError, by_recording, with_uncertain_sizes
-from valve_sim.identification.estimation.result import Fit
-from valve_sim.identification.estimation.solver import fit
-from valve_sim.identification.estimation.state_of_recording import with_forgotten_errors, with_learned_errors
+from valve_sim.identification.fit.declared_values import DeclaredValue, declared_values, estimated_valve
+from valve_sim.identification.fit.findings import Finding, findings, leaves_more_than_noise
+from valve_sim.identification.fit.fitter import Fitter
+from valve_sim.identification.fit.gram import sum_squares
+from valve_sim.identification.fit.intervals import Interval, profile_interval
+from valve_sim.identification.fit.posterior import EVEN, rivals_of
+from valve_sim.identification.fit.problem import Problem, is_long
+from valve_sim.identification.fit.recorded_errors import RecordedError, by_recording
+from valve_sim.identification.fit.result import Fit, fit
 from valve_sim.identification.plants.own import OwnPlant
 from valve_sim.identification.plants.protocol import (
     Array,
     Channel,
     InPieces,
-    Nuisance,
     Piece,
     Plant,
     finite_prediction,
@@ -35,9 +33,7 @@ from valve_sim.identification.plants.protocol import (
 from valve_sim.identification.plants.stroke_choice import choose_strokes
 from valve_sim.identification.plants.valve import ValvePlant, dampings_of
 from valve_sim.identification.plants.valve_model import GAS_NAMES
-from valve_sim.identification.selection.discrepancy import Discrepancy, lengths_of
-from valve_sim.identification.selection.posterior import EVEN, Evidence, rivals_of
-from valve_sim.model import CATALOGUE, DECLARED, ParameterError, SimulationError, Valve
+from valve_sim.model import CATALOGUE, DECLARED, ParameterError, Valve
 from valve_sim.model.parameters import UNUSED_BY_ONE_PLUNGER, closest, unused_words
 from valve_sim.model.valve import OF_TWO_PLUNGERS
 from valve_sim.traces import Trace
@@ -45,9 +41,6 @@ from valve_sim.traces.checking import check_traces
 
 STARTS: Final = (1.0, 4.0, 0.25)
 """Factors on the declared values from which fits start."""
-
-DECIDED: Final = 100.0
-"""Difference of ln p that no prior outweighs."""
 
 Progress = Callable[[str, float], None]
 
@@ -203,9 +196,8 @@ def _identified(
     plant: Plant, free: Sequence[str], starts: Sequence[Mapping[str, float]], sources: Sequence[str], say: Progress
 ) -> Identification:
     """Fit, intervals, errors and findings, of any machine."""
-    best, evidence = fit_beside_errors(plant, free, starts, say)
-    lacking = lacking_by(plant, evidence)
-    best = with_uncertain_sizes(best)
+    best, lacking = fit_beside_errors(plant, free, starts, say)
+    best = best.widened()
     recording = {} if lacking else by_recording([best])
     intervals: dict[str, Interval] = {}
     profiles: dict[str, list[tuple[float, float]]] = {}
@@ -227,7 +219,7 @@ def signal_errors(result: Fit, values: Mapping[str, float] | None = None) -> tup
     problem, plant = result.problem, result.problem.plant
     values = result.values if values is None else values
     own = {nuisance.name: values[nuisance.name] for nuisance in result.nuisances if not nuisance.is_of_machine}
-    added = () if problem.errors is None else result.errors_of(result.left.condensed())
+    added = result.added if problem.columns.unknowns else ()
     before, after = (_rms_of_channels(plant, there, added) for there in (own, values))
     return tuple(
         SignalError(one.name, one.kind, one.unit, one.count, before[index], after[index], problem.noise_of(index).sigma)
@@ -265,7 +257,7 @@ def _pieces(plant: Plant, values: Mapping[str, float]) -> Iterator[Piece]:
 
 def fit_beside_errors(
     plant: Plant, free: Sequence[str], starts: Sequence[Mapping[str, float]], say: Progress
-) -> tuple[Fit, Evidence]:
+) -> tuple[Fit, float]:
     """The best fit, with the errors of the recordings as large as they are beside it.
 
     Args:
@@ -273,29 +265,40 @@ def fit_beside_errors(
         say: told the progress, to 0.3.
 
     Returns:
-        The fit, and the evidence of it and of something unnamed beside it. Where that is likely, errors are as large as
-        they are before the data are asked.
+        The fit, and the probability that something unnamed acts beside it, where that is likely; else 0. Errors are
+        then as large as they are before the data are asked.
 
     Raises:
         SimulationError: the declared machine cannot be simulated.
     """
     say("noise", 0.0)
-
-    def fitted(problem: Problem, begun: Fit | None) -> Fit:
-        if begun is not None:
-            return best_fit(problem, free, [begun.values], lambda fraction: None)
-        return best_fit(problem, free, starts, lambda fraction: say("fit", 0.3 * fraction))
-
-    problem, best = with_learned_errors(Problem(plant).condensed(), fitted)
+    problem, rivals = Problem(plant).condensed(), rivals_of(plant)
     if any(noise.samples == 0 for noise in problem.noises.values()):
         # Of a machine that is never still the noise is what the fit leaves.
-        problem = problem.with_noise_left_by(best.values)
-        best = best_fit(problem, free, [best.values], lambda fraction: None)
-    evidence = evidence_beside(best)
-    if lacking_by(plant, evidence) and problem.errors is not None:
-        # Beside what it lacks, learned errors would imitate that.
-        best = fitted(with_forgotten_errors(problem, best.values), None)
-    return best, evidence
+        first = Fitter(problem, rivals, free=free, starts=starts).fitted_plainly()
+        problem = problem.with_noise_left_by(first.values)
+        starts = [first.values]
+    say("fit", 0.1)
+    fitter = Fitter(problem, rivals, free=free, starts=starts)
+    if problem.is_long:
+        best = _without_influence(fitter.fitted_plainly(), free)
+        return best, 1.0 if leaves_more_than_noise(best) else 0.0
+    tried = fitter.fitted_declared()
+    unnamed = rivals.unnamed_beside((), tried.evidence)
+    best = _without_influence(fitter.settled(tried), free)
+    say("fit", 0.3)
+    if unnamed > EVEN:
+        return best.allowing(fitter.process, tried.spread.cell), unnamed
+    return best, 0.0
+
+
+def _without_influence(best: Fit, free: Sequence[str]) -> Fit:
+    """A fit in which what has no influence on the data stays as declared: where it started is not what was found."""
+    plant = best.problem.plant
+    idle = {name: plant.declared(name) for name in free if math.isinf(best.stderr(name))}
+    if not idle:
+        return best
+    return fit(best.problem, best.model.unknowns, {**best.values, **idle}, sizes=best.gaussian.sizes)
 
 
 def check_free(free: Sequence[str], valve: Valve | None = None) -> None:
@@ -330,80 +333,13 @@ def starts_of(traces: Sequence[Trace], valve: Valve, free: Sequence[str]) -> lis
     starts = starts_about_declared(plant, free)
     if choice is None:
         return starts
-    found = best_of_starts(Problem(plant).condensed(), free, plant.nuisances, starts)
+    found = Fitter(Problem(plant).condensed(), rivals_of(plant), free=free, starts=starts).fitted_plainly()
     return [{name: found.values[name] for name in free}]
-
-
-def best_fit(
-    problem: Problem, free: Sequence[str], starts: Sequence[Mapping[str, float]], progress: Callable[[float], None]
-) -> Fit:
-    """The best of fits from several starts.
-
-    Where its residual is larger than the noise, errors of the commands' stamps are estimated too, and kept where the
-    evidence is for them: some recorders stamp a command when they happen to receive it, up to a millisecond late.
-    """
-    plant = problem.plant
-    plain = best_of_starts(problem, free, problem.nuisances, starts, progress)
-    if not plant.timing_errors or not leaves_more_than_noise(plain):
-        return plain
-    nuisances = (*problem.nuisances, *plant.timing_errors)
-    timed = best_of_starts(problem, free, nuisances, starts, lambda fraction: progress(1.0))
-    return max(plain, timed, key=lambda found: found.log_evidence)
-
-
-def evidence_beside(result: Fit) -> Evidence:
-    """Evidence of a fit, and of something unnamed beside it, as a diagnosis has it of its empty set.
-
-    Of a long recording, whose rows are not at hand, it is decided by whether more than noise is left.
-    """
-    problem = result.problem
-    if problem.is_long:
-        return Evidence(0.0, DECIDED if leaves_more_than_noise(result) else -DECIDED)
-    model, places = Linearised(result), problem.rows.places
-    spread = Discrepancy(places, lengths_of(problem.plant, places)).spread(model)
-    return Evidence(model.integrated, spread.log_evidence)
-
-
-def lacking_by(plant: Plant, evidence: Evidence) -> float:
-    """Probability that the model lacks something, where that is likely; else 0."""
-    unnamed = rivals_of(plant).unnamed_beside((), evidence)
-    return unnamed if unnamed > EVEN else 0.0
 
 
 def starts_about_declared(plant: Plant, free: Sequence[str]) -> list[dict[str, float]]:
     """The declared values of what is freed times each of `STARTS`; of effects, and of 0, such shares of a scale."""
     return [{name: _started(plant, name, factor) for name in free} for factor in STARTS]
-
-
-def best_of_starts(
-    problem: Problem,
-    free: Sequence[str],
-    nuisances: Sequence[Nuisance],
-    starts: Sequence[Mapping[str, float]],
-    progress: Callable[[float], None] = lambda fraction: None,
-) -> Fit:
-    """The best of fits from several starts; what has no influence on the data stays as declared.
-
-    Raises:
-        SimulationError: the machine cannot be simulated from any of them.
-    """
-    best: Fit | None = None
-    for index, start in enumerate(starts):
-        try:
-            found = fit(problem, free, start, nuisances=nuisances)
-        except SimulationError:
-            if best is None and index + 1 == len(starts):
-                raise
-            continue
-        # A fit keeps a row of derivatives for each sample: the others' would be most of the memory of a long recording.
-        best = found if best is None or found.chi2 < best.chi2 else best
-        progress((index + 1) / len(starts))
-    assert best is not None
-    without_influence = {name: problem.plant.declared(name) for name in free if math.isinf(best.stderr(name))}
-    if not without_influence:
-        return best
-    # Where it started is not what was found: it stays as declared.
-    return fit(problem, free, {**best.values, **without_influence}, nuisances=nuisances)
 
 
 def _started(plant: Plant, name: str, factor: float) -> float:

@@ -12,17 +12,19 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 from valve_sim.identification.diagnosis.experiment_design import Recommendation
-from valve_sim.identification.estimation.declared_values import DeclaredValue, declared_values, estimated_valve
-from valve_sim.identification.estimation.intervals import Interval
-from valve_sim.identification.estimation.recorded_errors import RecordedError, by_recording
-from valve_sim.identification.estimation.result import Fit
+from valve_sim.identification.fit.correction import Correction
+from valve_sim.identification.fit.curves import Unexplained
+from valve_sim.identification.fit.declared_values import DeclaredValue, declared_values, estimated_valve
+from valve_sim.identification.fit.detection_limits import Limits
+from valve_sim.identification.fit.grades import Grade
+from valve_sim.identification.fit.intervals import Interval
+from valve_sim.identification.fit.posterior import Grounds
+from valve_sim.identification.fit.recorded_errors import RecordedError, by_recording
+from valve_sim.identification.fit.residual_tests import Adequacy
+from valve_sim.identification.fit.result import Fit
 from valve_sim.identification.plants.protocol import Array, Plant, primary_channels
 from valve_sim.identification.plants.stroke_choice import StrokeChoice
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.selection.detection_limits import Limits
-from valve_sim.identification.selection.force_maps import Unexplained
-from valve_sim.identification.selection.posterior import Grounds
-from valve_sim.identification.selection.residual_tests import Adequacy
 from valve_sim.model import Valve
 
 PREDICTS_BETTER: Final = 10.0
@@ -49,11 +51,14 @@ class Verdict:
     """What is claimed; the fields but the last five are those of report.json.
 
     Attributes:
-        kind: "none", "effects", "unknown" or "insufficient".
-        effects: what is named; of "unknown" and "insufficient" the nearest names, which are not claimed.
+        kind: "none"; "effects": all that is corrected is named; "partly": a correction is applied, and its names are
+            not certain or something unnamed is left; "unknown": something acts, and nothing that was tried predicts
+            unseen strokes better; "insufficient": the recordings cannot tell.
+        effects: what is corrected; of "unknown" and "insufficient" the nearest names, which are not claimed.
         confusable_with: of each, what would do in its place.
-        probability: posterior, of what is claimed: of "effects" and "insufficient" that the set or its class acts,
-            of "none" that nothing does, of "unknown" that something without a name does.
+        probability: posterior, of what is claimed: of "effects" and "insufficient" that the set or its class acts, of
+            "partly" that the least certain of its names or a look-alike does, of "none" that nothing does, of "unknown"
+            that something without a name does.
         unnamed: posterior probability that something without a name acts.
         share: of the squared error of the refitted declared model beyond noise, what the named effects explain, 0 to 1.
         strokes: how many were recorded.
@@ -77,7 +82,12 @@ class Verdict:
         has_rivals = any(self.confusable_with.values())
         if self.kind == "insufficient" and self.is_cut_short:
             return False
-        return self.kind in ("unknown", "insufficient") or (self.kind == "effects" and has_rivals)
+        return self.kind in ("partly", "unknown", "insufficient") or (self.kind == "effects" and has_rivals)
+
+    @property
+    def is_corrected(self) -> bool:
+        """Whether a correction is applied."""
+        return self.kind in ("effects", "partly")
 
 
 @dataclass(frozen=True)
@@ -160,6 +170,8 @@ class Diagnosis:
         rivals: of a valve that is seen through its current alone, models that leave its positions open.
         choice: which strokes of a long recording were looked at; None for all of them.
         grounds: the table of evidence from which verdict and probabilities follow.
+        correction: what predicts unseen strokes best, applied or not.
+        grades: of each of its names, how far to trust it.
     """
 
     plant: Plant
@@ -180,6 +192,8 @@ class Diagnosis:
     rivals: tuple[Rival, ...] = ()
     choice: StrokeChoice | None = None
     grounds: Grounds | None = None
+    correction: Correction | None = None
+    grades: tuple[Grade, ...] = ()
 
     def __repr__(self) -> str:
         """Diagnosis(effects: coulomb_friction, probability 0.99)."""
@@ -210,7 +224,7 @@ class Diagnosis:
 
 def objection_to(diagnosis: Diagnosis) -> str:
     """Why the corrected model should not be set on a valve; empty where nothing speaks against it."""
-    if diagnosis.verdict.kind == "effects" and not diagnosis.held_out_gain > PREDICTS_BETTER:
+    if diagnosis.verdict.is_corrected and not diagnosis.held_out_gain > PREDICTS_BETTER:
         if math.isnan(diagnosis.held_out_gain):
             return "no strokes were held out that could confirm it"
         return "it does not predict held-out strokes decisively better than the declared model"

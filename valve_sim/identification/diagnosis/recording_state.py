@@ -7,23 +7,16 @@ same recording without its errors say how small an effect could be named if they
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
-
-import numpy as np
 
 from valve_sim.identification.diagnosis.identify import Identification, Progress, identify
-from valve_sim.identification.estimation.descent import SolverOptions
-from valve_sim.identification.estimation.errors.error import SMALLEST
-from valve_sim.identification.estimation.recorded_errors import RecordedError
-from valve_sim.identification.estimation.result import Fit
-from valve_sim.identification.estimation.solver import fit
-from valve_sim.identification.selection.detection_limits import Limits, detection_limits
-from valve_sim.identification.selection.posterior import rivals_of
+from valve_sim.identification.fit.detection_limits import Limits, detection_limits
+from valve_sim.identification.fit.fitter import Fitter
+from valve_sim.identification.fit.posterior import rivals_of
+from valve_sim.identification.fit.recorded_errors import RecordedError
+from valve_sim.identification.fit.result import Fit
+from valve_sim.identification.fit.unknown import SMALLEST
 from valve_sim.model import Valve
 from valve_sim.traces import Trace
-
-HERE: Final = SolverOptions(most=0)
-"""Nothing is fitted again: limits depend on what the data determine, not on where a fit ends."""
 
 
 @dataclass(frozen=True)
@@ -58,25 +51,19 @@ def state_of_recording(trace: Trace, valve: Valve, progress: Progress | None = N
     if best.problem.is_long or not found.recording:
         return RecordingState(found, {}, {})
     say("limits", 0.5)
-    limits = _limits(best)
+    limits = _limits(best, has_errors=True)
     say("limits", 0.75)
-    without_errors = _limits(_without_errors(best))
+    without_errors = _limits(best, has_errors=False)
     say("done", 1.0)
     return RecordingState(found, limits, without_errors)
 
 
-def _limits(result: Fit) -> Limits:
-    return detection_limits(result, rivals_of(result.problem.plant))
+def _limits(best: Fit, *, has_errors: bool) -> Limits:
+    """Detection limits beside a fit, and beside the same of a recording that has errors of its clocks only.
 
-
-def _without_errors(result: Fit) -> Fit:
-    """A fit, at the same values, to a recording that has noise and the errors of its clocks only."""
-    errors = result.problem.errors
-    if errors is None:
-        return result
-    sizes = [SMALLEST * group.scale for group in errors.groups]
-    problem = result.problem.with_errors(errors.resized(np.array(sizes)))
-    nuisances = (
-        *(own for own in result.nuisances if not own.group), *(own for own in problem.nuisances if own.group)
-    )  # fmt: skip
-    return fit(problem, result.free, result.values, nuisances=nuisances, effort=HERE)
+    Nothing is fitted again: limits depend on what the data determine, not on where a fit ends.
+    """
+    fitter = Fitter(best.problem, rivals_of(best.problem.plant), free=best.free)
+    nothing = {name: SMALLEST * group.scale for name, group in fitter.groups.items()}
+    fitter.sizes = dict(best.gaussian.sizes) if has_errors else nothing
+    return detection_limits(fitter, fitter.tried_at(best.values))

@@ -7,8 +7,6 @@ with everything that training has estimated; they may raise the odds of somethin
 
 from __future__ import annotations
 
-import functools
-import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -18,28 +16,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.identification.diagnosis.experiment_design import Recommendation, recommend
+from valve_sim.identification.diagnosis.followed_positions import follows_positions
 from valve_sim.identification.diagnosis.outcome import Candidate, Diagnosis, Rival, State, Verdict, Worth
-from valve_sim.identification.estimation.budget import Budget
-from valve_sim.identification.estimation.followed_positions import follows_positions
-from valve_sim.identification.estimation.intervals import Interval, covariance_interval, profile_interval
-from valve_sim.identification.estimation.linearised import Linearised
-from valve_sim.identification.estimation.noise import Noise
-from valve_sim.identification.estimation.problem import Mask, Problem, shows_rest
-from valve_sim.identification.estimation.recorded_errors import with_uncertain_sizes
-from valve_sim.identification.estimation.result import Fit, rmse
-from valve_sim.identification.estimation.solver import fit
-from valve_sim.identification.estimation.state_of_recording import with_learned_errors
-from valve_sim.identification.plants.hold_out import held_out_strokes
-from valve_sim.identification.plants.protocol import Plant, finite_prediction, strokes_of_plant
-from valve_sim.identification.plants.stroke_choice import choose_strokes
-from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.selection.detection_limits import detection_limits
-from valve_sim.identification.selection.force_maps import (
-    Unexplained,
-    describe,
-    fit_maps,
-)
-from valve_sim.identification.selection.posterior import (
+from valve_sim.identification.fit.budget import Budget
+from valve_sim.identification.fit.correction import Correction, correct, is_curve
+from valve_sim.identification.fit.curves import Unexplained, unexplained
+from valve_sim.identification.fit.descent import MOST
+from valve_sim.identification.fit.detection_limits import detection_limits
+from valve_sim.identification.fit.grades import Grade, grades, kind_of
+from valve_sim.identification.fit.held_out import HeldOut, predicted
+from valve_sim.identification.fit.intervals import Interval, covariance_interval, profile_interval
+from valve_sim.identification.fit.noise import Noise
+from valve_sim.identification.fit.posterior import (
+    EVEN,
     LARGEST_CLASS,
     Decision,
     Grounds,
@@ -47,10 +36,16 @@ from valve_sim.identification.selection.posterior import (
     Set,
     leader_of,
 )
-from valve_sim.identification.selection.prediction import HeldOut, predicted
-from valve_sim.identification.selection.residual_tests import adequacy
-from valve_sim.identification.selection.search import PROMISING, Progress, Search, fit_of_declared, words
-from valve_sim.identification.selection.starts import all_near_off, squared_cost
+from valve_sim.identification.fit.problem import Mask, Problem, shows_rest
+from valve_sim.identification.fit.residual_tests import adequacy
+from valve_sim.identification.fit.result import Fit, fit, rmse
+from valve_sim.identification.fit.search import PROMISING, Progress, Search, words
+from valve_sim.identification.fit.starts import all_near_off
+from valve_sim.identification.fit.unknown import unknowns_of
+from valve_sim.identification.plants.hold_out import held_out_strokes
+from valve_sim.identification.plants.protocol import Plant, finite_prediction, strokes_of_plant
+from valve_sim.identification.plants.stroke_choice import choose_strokes
+from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import SimulationError, Valve
 from valve_sim.traces import Trace
 from valve_sim.traces.checking import check_traces
@@ -61,6 +56,8 @@ SAMPLES_EACH: Final = 10
 """Samples for each parameter, below which a model with all effects would explain noise, too."""
 NOISIER: Final = 1.5
 """Times what the best model leaves, beyond which the noise that was taken from the largest one is too much of it."""
+WORSE: Final = 1.05
+"""Times the error of separate strokes, from which a correction makes them worse and is not applied."""
 LISTED: Final = 30
 """Most candidates in the report."""
 
@@ -121,7 +118,7 @@ def begin(
         plant, holdout, progress, budget: as there.
         least: standard deviations by kind of channel, which count where the data show less noise.
         known: noise by kind of channel, which counts where the machine is never still for long enough to show it.
-        held: sizes of errors of the recordings that are known, as of `with_learned_errors`.
+        held: sizes of errors of the recordings that are known, by `columns.known_name`.
 
     Raises:
         SimulationError: the declared model cannot be simulated.
@@ -157,8 +154,7 @@ def _begun(
     elif holdout_mask is not None:
         held_out = problem.restricted(holdout_mask)
     reads_at_rest = not held or shows_rest(plant)
-    learned, _ = with_learned_errors(problem.condensed(), fit_of_declared, held=held, reads_at_rest=reads_at_rest)
-    search = Search(learned, progress)
+    search = Search(problem.condensed(), progress, held, reads_at_rest=reads_at_rest)
     search.fit_declared()
 
     def again(noises: Mapping[str, Noise]) -> DiagnosisSession:
@@ -196,7 +192,7 @@ class DiagnosisSession:
     @property
     def declared(self) -> Fit:
         """The refitted declared model."""
-        return self._search.tried[()].fit
+        return self._search.tried[()].result
 
     def name(self) -> VerdictWithIntervals:
         """Search and decide: the verdict with its intervals, without the further contents of a report."""
@@ -204,7 +200,9 @@ class DiagnosisSession:
         decision = self._decided().decision
         result = self._fit_of(decision)
         exact = covariance_interval if decision.unnamed > PROMISING else _profile
-        return VerdictWithIntervals(self._verdict(decision), {name: exact(result, name) for name in result.free})
+        return VerdictWithIntervals(
+            self._posterior_verdict(decision), {name: exact(result, name) for name in result.free}
+        )
 
     def end(self, *, is_full: bool = False) -> Diagnosis:
         """Search, decide, and describe the result.
@@ -215,32 +213,36 @@ class DiagnosisSession:
         self._run(is_full=is_full)
         grounds = self._decided()
         posterior, decision = grounds.posterior, grounds.decision
+        self._say("what predicts unseen strokes", 0.9)
+        correction = correct(self._search, decision)
         self._say("intervals", 0.95)
-        result = self._settled(decision)
+        fitter, declared = self._search.fitter, self._search.tried[()]
+        result = fitter.settled(correction.fit).widened()
         # Before and after are compared with the same errors of the recordings: else these would hide what was missing.
-        errors = result.problem.errors
-        is_declared = self._fit_of(decision) is self.declared
-        sizes = None if errors is None else errors.sizes
-        result = with_uncertain_sizes(result)
-        base = result if is_declared else with_uncertain_sizes(self._search.settled(self.declared, sizes))
-        verdict = self._verdict(decision)
+        base = result if correction.fit is declared else fitter.settled(declared, result.gaussian.sizes).widened()
         before = self._state(base, profile=False)
-        size = self._search.tried[()].spread.size if verdict.kind == "unknown" else 0.0
-        after = (
-            before
-            if result is base and size == 0.0
-            else self._state(result, profile=verdict.kind == "effects", size=size)
-        )
-        maps = self._unexplained() if verdict.kind == "unknown" else ()
-        limits = detection_limits(base, self._search.rivals) if verdict.kind == "none" else {}
+        after = before if result is base else self._state(result, profile=True)
+        if after.holdout_rmse > WORSE * before.holdout_rmse:
+            # Separate strokes have the last word.
+            correction, result = replace(correction, is_applied=False), base
+            after = before
+        graded = grades(correction, decision, posterior.inclusion())
+        verdict = self._verdict(decision, correction, graded)
+        if verdict.kind == "unknown":
+            base = base.allowing(fitter.process, declared.spread.cell)
+            after = before = self._state(base, profile=False, tau=declared.spread.tau)
+        has_no_name = verdict.kind == "unknown" or (verdict.kind == "partly" and decision.unnamed > EVEN)
+        maps = self._unexplained() if has_no_name else ()
+        limits = detection_limits(fitter, declared) if verdict.kind == "none" else {}
         budget = self._search.problem.budget
+        untried = [*self._search.untried, *self._search.impossible]
         return Diagnosis(
             self._plant, before, after, verdict, self._candidates(posterior), posterior.inclusion(),
             maps[0] if maps else None, maps,
             tuple(channel.name for channel in self._plant.channels), self._recommendation(verdict, decision),
-            self._held_out_gain(base, result),
-            tuple(map(words, [*self._search.untried, *self._search.impossible])), budget.spent, budget.strokes, limits,
-            self._rivals(posterior, decision, result), grounds=grounds,
+            self._held_out_gain(base, result), (*map(words, untried), *correction.cut_short),
+            budget.spent, budget.strokes, limits, self._rivals(posterior, decision, result), grounds=grounds,
+            correction=correction, grades=graded,
         )  # fmt: skip
 
     def _run(self, *, is_full: bool) -> None:
@@ -252,7 +254,7 @@ class DiagnosisSession:
         self._search.run(is_full=is_full)
         while self._again is not None and not self._search.problem.budget.is_used_up:
             problem = self._search.problem
-            best = max(self._search.tried.values(), key=lambda entry: entry.plain).fit
+            best = max(self._search.tried.values(), key=lambda entry: entry.plain).result
             left = problem.with_noise_left_by(best.values).noises
             quieter = {kind: own for kind, own in left.items() if NOISIER * own.sigma < problem.noises[kind].sigma}
             if not quieter:
@@ -267,27 +269,22 @@ class DiagnosisSession:
     def _decided(self) -> Grounds:
         """The table of evidence from which the verdict follows, with curves and held-out odds."""
         posterior = self._search.posterior()
-        curves = self._search.curves if posterior.unnamed > PROMISING else []
+        curves = self._search.curves if posterior.unnamed > PROMISING else {}
         best = leader_of({names: share.total for names, share in posterior.shares.items()}, posterior.fitted)
-        found = self._search.tried[best].fit
+        found = self._search.tried[best].result
         self._held_out.learn_errors(found)
         raised = {best: self._held_out.log_odds_of_unnamed(found)}
         return Grounds(
             self._search.rivals,
             self._search.table(raised[best]),
-            tuple(Linearised(entry.fit).integrated for entry in curves),
+            tuple(entry.plain for entry in curves.values()),
             raised,
             {name: len(choice.parameters) for name, choice in self._plant.effects.items()},
         )
 
     def _fit_of(self, decision: Decision) -> Fit:
         """The corrected model: what is named, or the refitted declared model where nothing is."""
-        return self.declared if decision.kind == "unknown" else self._search.tried[decision.names].fit
-
-    def _settled(self, decision: Decision) -> Fit:
-        """The corrected model, with errors of the recordings that suit it: beside something unnamed, beside that."""
-        beside = self._search.tried[()].spread.errors if decision.kind == "unknown" else None
-        return self._search.settled(self._fit_of(decision), beside)
+        return self.declared if decision.kind == "unknown" else self._search.tried[decision.names].result
 
     def _share(self, result: Fit) -> float:
         """How much of the squared error of the declared model beyond noise a fit explains, from 0 to 1."""
@@ -300,7 +297,7 @@ class DiagnosisSession:
 
     def _worth(self, names: Set) -> dict[str, Worth]:
         """How much of the squared error each of some named effects explains."""
-        left = {frozenset(key): self._left(tried.fit) for key, tried in self._search.tried.items()}
+        left = {frozenset(key): self._left(tried.result) for key, tried in self._search.tried.items()}
         declared, whole = left[frozenset()], left[frozenset(names)]
         gains: dict[str, float] = {}
         for name in names:
@@ -318,19 +315,34 @@ class DiagnosisSession:
             for name, gain in gains.items()
         }
 
-    def _verdict(self, decision: Decision) -> Verdict:
+    def _verdict(self, decision: Decision, correction: Correction, graded: tuple[Grade, ...]) -> Verdict:
+        """What is claimed of a correction."""
+        ended = self._search.problem.budget.is_used_up and bool(self._search.untried or correction.cut_short)
+        names, others, probability = decision.names, decision.others, decision.probability
+        if correction.is_applied:
+            names = () if is_curve(correction.names) else correction.names
+            if names != decision.names:
+                others = {one.effect: one.alike for one in graded}
+                probability = min((one.probability for one in graded), default=decision.unnamed)
+        kind = kind_of(correction, graded, decision)
+        share = self._share(correction.fit.result if correction.is_applied else self._search.tried[names].result)
+        worth = self._worth(names) if names in self._search.tried else {}
+        return Verdict(kind, names, others, probability, decision.unnamed, share, self._strokes, worth, ended)
+
+    def _posterior_verdict(self, decision: Decision) -> Verdict:
+        """The verdict of the posterior alone."""
+        ended = self._search.problem.budget.is_used_up and bool(self._search.untried)
         return Verdict(
             decision.kind, decision.names, decision.others, decision.probability, decision.unnamed,
-            self._share(self._search.tried[decision.names].fit), self._strokes, self._worth(decision.names),
-            self._search.problem.budget.is_used_up and bool(self._search.untried),
+            self._share(self._search.tried[decision.names].result), self._strokes, self._worth(decision.names), ended,
         )  # fmt: skip
 
     # -- what a report has beside --------------------------------------------------------------------------------------
 
-    def _state(self, result: Fit, *, profile: bool, size: float = 0.0) -> State:
+    def _state(self, result: Fit, *, profile: bool, tau: float = 0.0) -> State:
         """A fit with its errors, test and intervals."""
-        here = predicted(result, result, size)
-        there = self._held_out.predicted(result, size)
+        here = predicted(result, result, tau)
+        there = self._held_out.predicted(result, tau)
         intervals = {
             name: _profile(result, name)
             if profile and ("." in name or result.is_collinear(name))
@@ -354,22 +366,21 @@ class DiagnosisSession:
         ordered = sorted((names for names in self._search.tried if names), key=lambda n: -posterior.shares[n].total)
         for names in ordered[:LISTED]:
             tried, share = self._search.tried[names], posterior.shares[names]
-            there = self._held_out.fit(tried.fit)
-            timing = any(own in self._plant.timing_errors for own in tried.fit.nuisances)
+            result = tried.result
+            there = self._held_out.fit(result)
+            timing = any(own.name.startswith("command_error[") for own in result.nuisances)
             found.append(
                 Candidate(
                     names, timing, share.total, share.unnamed, tried.plain, -2.0 * (tried.plain - base.plain),
-                    rmse(tried.fit), math.nan if there is None else rmse(there),
-                    {name: covariance_interval(tried.fit, name) for name in tried.fit.free},
+                    rmse(result), math.nan if there is None else rmse(there),
+                    {name: covariance_interval(result, name) for name in result.free},
                 )
             )  # fmt: skip
         return tuple(found)
 
     def _unexplained(self) -> tuple[Unexplained, ...]:
         """What the declared model leaves without a name, as forces, the one that explains most of it first."""
-        base = self.declared
-        maps = fit_maps(base, self._search.curves, self._say)
-        return tuple(describe(entry.choice, entry.fit, base) for entry in maps)
+        return unexplained(self._search.fitter, self._search.tried[()], self._search.curves)
 
     def _near(self, decision: Decision) -> list[Set]:
         """The named effects, and the look-alikes of each."""
@@ -385,7 +396,7 @@ class DiagnosisSession:
         """The recording that separates the competing models best."""
         if not verdict.is_open:
             return None
-        candidates = {" + ".join(names): self._search.tried[names].fit for names in self._near(decision)}
+        candidates = {" + ".join(names): self._search.tried[names].result for names in self._near(decision)}
         return recommend(candidates, self._plant.experiments) if len(candidates) > 1 else None
 
     def _rivals(self, posterior: Posterior, decision: Decision, result: Fit) -> tuple[Rival, ...]:
@@ -400,7 +411,7 @@ class DiagnosisSession:
         for names in near if is_declared and decision.names else near[1:]:
             share = posterior.shares[names].total
             weight = share / best if share < best else 1.0
-            other = self._search.tried[names].fit
+            other = self._search.tried[names].result
             found.append(Rival(other, self._held_out.fit(other), weight))
         return tuple(found)
 
@@ -424,17 +435,19 @@ def _largest_fit(problem: Problem) -> Fit:
     The residual of the declared model alone contains the effects that it lacks, and as noise would hide them: beside
     friction a constant force would never be found. (Mallows' Cp takes its variance from the full model, too.)
     """
-    plant = problem.plant
-    base = fit(problem, plant.base, {}, nuisances=plant.nuisances)
-    effects = [effect for effect in plant.effects.values() if not effect.is_declared]
-    free = (*plant.base, *itertools.chain(*(effect.free_names() for effect in effects)))
-    if problem.samples < SAMPLES_EACH * len(free):
+    unknowns = unknowns_of(problem.plant)
+    declared = [*unknowns.base, *unknowns.known]
+    base = fit(problem, declared, {}, most=MOST)
+    effects = [own for own in unknowns.hypotheses.values() if own.choice is None or not own.choice.is_declared]
+    every = [*declared, *(one for own in effects for one in own.frees)]
+    if problem.samples < SAMPLES_EACH * sum(own.is_freed for own in every):
         return base
-    start = all_near_off(functools.partial(squared_cost, problem), effects, base.values)
+    start = all_near_off(problem, effects, base.values)
     if start is None:
         return base
+    replaced = {name for own in effects for one in own.frees for name in (one.name,)}
     try:
-        largest = fit(problem, free, start, nuisances=plant.nuisances)
+        largest = fit(problem, [own for own in every if own.is_freed or not replaced & {*own.replaces}], start)
     except SimulationError:
         return base
     return min(base, largest, key=rmse)

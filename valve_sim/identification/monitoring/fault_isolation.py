@@ -15,9 +15,9 @@ from typing import Final
 import numpy as np
 
 from valve_sim.identification.diagnosis.run import Verdict, begin
-from valve_sim.identification.estimation.errors.hum import HUM
-from valve_sim.identification.estimation.intervals import Interval
-from valve_sim.identification.estimation.problem import shows_rest
+from valve_sim.identification.fit.errors.hum import HUM
+from valve_sim.identification.fit.intervals import Interval
+from valve_sim.identification.fit.problem import shows_rest
 from valve_sim.identification.monitoring.kept_samples import joined, with_joined_ends
 from valve_sim.identification.monitoring.lift_times import starts_by_lift
 from valve_sim.identification.monitoring.scores import FINEST, Baseline

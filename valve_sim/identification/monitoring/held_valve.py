@@ -11,8 +11,9 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Final
 
-from valve_sim.identification.estimation.problem import Problem
-from valve_sim.identification.estimation.solver import fit
+from valve_sim.identification.fit.problem import Problem
+from valve_sim.identification.fit.result import fit
+from valve_sim.identification.fit.unknown import known
 from valve_sim.identification.monitoring.findings import DidNotClose, DidNotOpen, Fault, OpenedPartly, WaitsForPressure
 from valve_sim.identification.monitoring.stroke_delays import rough_shifts
 from valve_sim.identification.plants.valve import ValvePlant
@@ -65,10 +66,10 @@ def _left(trace: Trace, valve: Valve, lateness: float) -> float:
     """χ² of the current, the errors of the first and the last command fitted; inf where it cannot be simulated."""
     plant = ValvePlant([trace], replace(valve, tolerances=EXACT))
     errors = plant.timing_errors
-    late = [error._replace(sigma=LATEST) for error in (errors if len(errors) <= 2 else (errors[0], errors[-1]))]
+    late = [known(error._replace(sigma=LATEST)) for error in (errors if len(errors) <= 2 else (errors[0], errors[-1]))]
     try:
         start = dict(zip((error.name for error in errors), rough_shifts(trace, valve, lateness), strict=True))
-        fixed = {"clock_offset[0]": lateness}
-        return fit(Problem(plant), (), start, nuisances=late, fixed=fixed).chi2
+        held = {"clock_offset[0]": lateness}
+        return fit(Problem(plant), late, start, held=held).chi2
     except SimulationError:
         return math.inf

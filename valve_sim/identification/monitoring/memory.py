@@ -14,7 +14,7 @@ import numpy as np
 
 from valve_sim.files.json_text import finite_or_none
 from valve_sim.files.whole_files import write_whole
-from valve_sim.identification.estimation.noise import Noise
+from valve_sim.identification.fit.noise import Noise
 from valve_sim.identification.monitoring.command_timing import StrokeTiming
 from valve_sim.identification.monitoring.commissioning import Commissioning, ScoreBaseline
 from valve_sim.identification.monitoring.scores import Baseline

@@ -16,7 +16,6 @@ that effect (the matched filter; Kay, Fundamentals of Statistical Signal Process
 from __future__ import annotations
 
 import contextlib
-import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -24,26 +23,24 @@ from typing import Final
 
 import numpy as np
 
-from valve_sim.identification.estimation.gram import root_mean_square
-from valve_sim.identification.estimation.intervals import Interval, covariance_interval
-from valve_sim.identification.estimation.linearised import OrthogonalProjector
-from valve_sim.identification.estimation.noise import Noise
-from valve_sim.identification.estimation.problem import Problem, shows_rest
-from valve_sim.identification.estimation.recorded_errors import expected_sizes
-from valve_sim.identification.estimation.result import Fit
-from valve_sim.identification.estimation.solver import fit
-from valve_sim.identification.estimation.state_of_recording import with_learned_errors
-from valve_sim.identification.estimation.structured_noise import structured_noise
+from valve_sim.identification.fit.columns import Columns, columns_of, known_name
+from valve_sim.identification.fit.gram import root_mean_square
+from valve_sim.identification.fit.intervals import Interval, covariance_interval
+from valve_sim.identification.fit.noise import Noise
+from valve_sim.identification.fit.problem import Problem
+from valve_sim.identification.fit.recorded_errors import expected_sizes
+from valve_sim.identification.fit.recordings import usual_sizes
+from valve_sim.identification.fit.residual_tests import moving_residuals
+from valve_sim.identification.fit.result import Fit, fit
+from valve_sim.identification.fit.starts import SMALL, Near, switched_on
+from valve_sim.identification.fit.unknown import Unknown, hypothesis, known, unknowns_of
 from valve_sim.identification.monitoring.command_timing import UNINFORMATIVE
 from valve_sim.identification.monitoring.stroke_delays import rough_shifts, start_before
 from valve_sim.identification.plants.commissioned import Commissioned, CommissionedCurrent, commission_current
-from valve_sim.identification.plants.protocol import Array, Nuisance, perturbed
+from valve_sim.identification.plants.protocol import Array, perturbed
 from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA
 from valve_sim.identification.plants.valve import DAMPINGS, ValvePlant, dampings_of
 from valve_sim.identification.plants.valve_sensors import as_it_began
-from valve_sim.identification.plants.variation import VARIATION
-from valve_sim.identification.selection.residual_tests import moving_residuals
-from valve_sim.identification.selection.score_test import moves_of
 from valve_sim.model import EXACT, SimulationError, Valve, simulate
 from valve_sim.traces import Trace
 
@@ -60,6 +57,10 @@ LEAST_SENSITIVITY: Final = 1e-3
 """Standard deviations by which an effect of its prior scale must move a stroke to be scored."""
 STILL: Final = 1e-5
 """m/s: below it the model rests."""
+MOST_ROUNDS: Final = 4
+"""Of fits and sizes of errors, while commissioning."""
+SETTLED: Final = 0.2
+"""Largest change of the logarithm of a size at which the sizes have settled."""
 POOR_FIT: Final = 2.0
 """χ² per sample beyond which the fit begins once more, with commands as they are stamped."""
 MEDIAN_OF_NORMAL: Final = 0.6745
@@ -87,7 +88,7 @@ class Baseline:
         estimated: (k,) names of what was: the dampings, then declared values that have a tolerance.
         has_positions: whether it was commissioned on positions; else on the current alone.
         error_sizes: of what the recording adds to a stroke and of what varies of the valve from stroke to stroke, by
-            the names of `StructuredNoise.known_sizes`.
+            the names of `columns.known_name`.
     """
 
     valve: Valve
@@ -160,13 +161,14 @@ def score_at_levels(trace: Trace, baseline: Baseline, levels: Sequence[float]) -
 def _scored(stroke: _Stroke, result: Fit, directions: Iterable[tuple[str, Array]]) -> Scored:
     """The scores of a stroke whose stamps' errors were estimated, along what effects change."""
     # To first order about the fit: scores must not depend on where it stopped.
-    outside = OrthogonalProjector(result)
-    scores = {SIZE: _size(stroke.problem, outside.residuals)}
-    for name, change in itertools.chain(directions, stroke.delay_directions(result)):
-        power, seen = outside.along(change)
-        if power > LEAST_SENSITIVITY**2:
-            # The fit's residual is measured less predicted, and so is the change of it that an effect makes.
-            scores[name] = -seen / math.sqrt(power)
+    scores = {SIZE: _size(stroke.problem, result.gaussian.left_at_best)}
+    named = [*directions, *stroke.delay_directions(result)]
+    if named:
+        squares, seen = result.gaussian.beyond(np.column_stack([change for _, change in named]))
+        for (name, _), power, product in zip(named, np.diag(squares).tolist(), seen.tolist(), strict=True):
+            if power > LEAST_SENSITIVITY**2:
+                # The fit's residual is measured less predicted, and so is the change of it that an effect makes.
+                scores[name] = -product / math.sqrt(power)
     return Scored(scores, stroke.shifts(result), stroke.rms(result))
 
 
@@ -232,27 +234,31 @@ def commission(traces: Sequence[Trace], valve: Valve, noise: float) -> Baseline:
         commission_current(traces, commissioned) if kind == "position" else None,
         estimated,
         kind == "position",
-        {} if problem.errors is None else problem.errors.resized(expected_sizes(result)).known_sizes,
+        {known_name(problem.columns.groups[name]): size for name, size in expected_sizes(result).items()},
     )
 
 
 def _with_stroke_errors(problem: Problem, start: Mapping[str, float], prior: float) -> tuple[Problem, Fit]:
     """The problem with what differs from stroke to stroke as large as the strokes show it, and the fit beside that.
 
-    Short strokes of a slow sensor show no rest. The model is right here, so that drift and hum are read in motion, too.
+    Short strokes of a slow sensor show no rest. The model is right here, so that drift and hum are learned in motion,
+    too. The prior of the stamps' errors, s, is wide enough for the largest; each is well determined by its stroke.
     """
-
-    def fitted(problem: Problem, begun: Fit | None) -> Fit:
-        return _commissioning_fit(problem, start if begun is None else begun.values, prior)
-
-    return with_learned_errors(problem.condensed(), fitted, reads_at_rest=shows_rest(problem.plant))
-
-
-def _commissioning_fit(problem: Problem, start: Mapping[str, float], prior: float) -> Fit:
-    """With a prior of the stamps' errors, s, wide enough for the largest; each is well determined by its stroke."""
     plant = problem.plant
-    errors = [error._replace(sigma=prior) for error in plant.timing_errors]
-    return fit(problem, plant.base, start, nuisances=(*problem.nuisances, *errors))
+    problem = problem.condensed().with_columns(columns_of(plant, {}, {}))
+    columns, unknowns = problem.columns, unknowns_of(plant)
+    stamps = [known(error._replace(sigma=prior)) for error in plant.timing_errors]
+    every = [*unknowns.base, *unknowns.known, *stamps, *columns.varying, *columns.unknowns]
+    sizes = usual_sizes(columns.groups)
+    best = fit(problem, every, start, sizes=sizes)
+    for _ in range(MOST_ROUNDS):
+        suited = best.gaussian.with_best_sizes().sizes
+        change = max((abs(math.log(suited[name] / sizes[name])) for name in columns.groups), default=0.0)
+        sizes = dict(suited)
+        best = fit(problem, every, best.values, sizes=sizes)
+        if change < SETTLED:
+            break
+    return problem, best
 
 
 def _noise_at_rest(plant: ValvePlant, result: Fit) -> Noise:
@@ -298,23 +304,35 @@ class _Stroke:
         self._plant = ValvePlant([_judged(trace, baseline.valve)], baseline.valve, is_watched=True)
         self._fixed = {"clock_offset[0]": baseline.lateness, "clock_rate[0]": 0.0}
         problem = Problem(self._plant, noises={self._plant.channels[0].kind: baseline.noise})
-        errors = structured_noise(self._plant, self._fixed, {}) if baseline.error_sizes else None
-        self.problem = problem.with_errors(None if errors is None else errors.held_at(baseline.error_sizes))
-        self._nuisances = (*self._shifts(), *self.problem.nuisances)
+        columns = columns_of(self._plant, self._fixed, {}) if baseline.error_sizes else Columns()
+        self.problem = problem.with_columns(columns)
+        usual = usual_sizes(columns.groups)
+        known_sizes = baseline.error_sizes
+        self._sizes = {
+            name: known_sizes.get(known_name(own), usual[name]) for name, own in columns.groups.items()
+        }  # fmt: skip
 
     def fit(self, free: Sequence[str]) -> Fit:
         """Estimate what differs from stroke to stroke, and the parameters in `free`: their own in this stroke."""
-        nuisances = [own for own in self._nuisances if not (free and own.error == VARIATION)]
+        unknowns, columns = unknowns_of(self._plant, free), self.problem.columns
+        varying = () if free else columns.varying
+        every = [
+            *unknowns.base,
+            *unknowns.known,
+            *self._shifts(),
+            *varying,
+            *columns.unknowns,
+        ]
         rough = rough_shifts(self._trace, self._baseline.valve, self._baseline.lateness)
         furthest = FURTHEST * self._jitter
         start = {
             f"command_error[0,{index}]": float(np.clip(shift, -furthest, furthest)) for index, shift in enumerate(rough)
         }
-        result = fit(self.problem, free, start, nuisances=nuisances, fixed=self._fixed)
+        result = fit(self.problem, every, start, held=self._fixed, sizes=self._sizes)
         if result.chi2 < POOR_FIT * self.problem.effective_samples:
             return result
         # A fault of the stroke, or a bad starting point: contacts make shallow local minima.
-        again = fit(self.problem, free, {}, nuisances=nuisances, fixed=self._fixed)
+        again = fit(self.problem, every, {}, held=self._fixed, sizes=self._sizes)
         return min((result, again), key=lambda found: found.chi2)
 
     def effect_directions(self, result: Fit) -> Iterator[tuple[str, Array]]:
@@ -325,9 +343,14 @@ class _Stroke:
             with contextlib.suppress(SimulationError):
                 yield name, self.problem.residuals(values) - result.residuals
         for effect in plant.effects.values():
-            is_single = sum(own.off is not None for own in effect.parameters) == 1
-            for move in next(moves_of(result, effect), []):
-                yield effect.name if is_single else f"{effect.name}.{move.switch.name}", move.change
+            own = hypothesis(plant, effect)
+            switches = [one for one in own.frees if one.is_switch]
+            for switch in switches:
+                alone = replace(own, frees=tuple(one for one in own.frees if one is switch or not one.is_switch))
+                values = {**result.values, **own.off(), **next(switched_on(alone, Near((SMALL,), has_shapes=False)))}
+                with contextlib.suppress(SimulationError):
+                    name = effect.name if len(switches) == 1 else f"{effect.name}.{switch.name.partition('.')[2]}"
+                    yield name, self.problem.residuals(values) - result.residuals
 
     def delay_directions(self, result: Fit) -> Iterator[tuple[str, Array]]:
         """What errors of the first and the last stamp change, where these are scored."""
@@ -335,11 +358,12 @@ class _Stroke:
             return
         last = len(self._shifts()) - 1
         for place in sorted({0, last}):
-            yield DELAYS[min(place, 1)], result.jacobian[:, place] * self._jitter
+            of_stamp = result.names.index(self._shifts()[place].name)
+            yield DELAYS[min(place, 1)], result.gaussian.sums.moved[:, of_stamp] * self._jitter
 
     def shifts(self, result: Fit) -> Array:
         """(commands,) s, errors of the stamps."""
-        return np.array([result.values[nuisance.name] for nuisance in self._shifts()])
+        return np.array([result.values[own.name] for own in self._shifts()])
 
     def rms(self, result: Fit) -> float:
         """Root mean square of measured less shown position, m, or current, A; the recording's errors are shown, too."""
@@ -347,10 +371,10 @@ class _Stroke:
         channel = self._plant.channels[0]
         return root_mean_square(channel.kept(channel.data - shown))
 
-    def _shifts(self) -> list[Nuisance]:
+    def _shifts(self) -> list[Unknown]:
         errors = list(self._plant.timing_errors)
         chosen = errors if len(errors) <= MOST_SHIFTS else [errors[0], errors[-1]]
-        return [nuisance._replace(sigma=self._jitter) for nuisance in chosen]
+        return [known(own._replace(sigma=self._jitter)) for own in chosen]
 
 
 def _size(problem: Problem, left: Array) -> float:

@@ -20,7 +20,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from valve_sim.identification.estimation.intervals import Interval
+from valve_sim.identification.fit.intervals import Interval
 from valve_sim.identification.monitoring.command_timing import UNINFORMATIVE, WIDER_SCATTER, CommandScatter, level_for
 from valve_sim.identification.monitoring.commissioning import (
     Commissioning,

@@ -183,9 +183,9 @@ class OwnPlant(Plant):
 
     def sensitivities(self, values: Mapping[str, float], directions: Sequence[Direction]) -> Sensitivities:
         """The derivatives of what `predict` returns; all but those to delays are known."""
-        columns = self._shown(values, directions)[1]
+        shown, columns = self._shown(values, directions)
         known = [self._delaying.isdisjoint(direction.slopes) for direction in directions]
-        return Sensitivities(columns, np.array(known, dtype=bool))
+        return Sensitivities(columns, np.array(known, dtype=bool), shown)
 
     def check_free(self, names: Sequence[str]) -> None:
         """Check that these parameters, or `<effect>.<parameter>`, can be freed.

@@ -249,10 +249,12 @@ class Sensitivities(NamedTuple):
     Attributes:
         columns: for each channel (n, k): along k directions; none where nothing is known.
         known: (k,) where they are known; what stands in other columns means nothing.
+        shown: for each channel what `predict` returns; None where nothing is known.
     """
 
     columns: list[Array]
     known: NDArray[np.bool_]
+    shown: list[Array] | None = None
 
 
 class Piece(NamedTuple):

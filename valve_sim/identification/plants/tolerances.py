@@ -167,9 +167,14 @@ class ToleratedValues:
             return self._declared["moving_mass"] - self._declared["pilot_mass"]
         return 0.0 if name in self._axis_names else self._declared[name]
 
-    def is_plain(self, name: str) -> bool:
-        """Whether a value is a declared one as it stands, or an effect's, and no other declared value follows it."""
-        return name not in self._stand_for and not (self._has_masses and name == "pilot_mass")
+    def plain_slopes(self, slopes: Mapping[str, float], values: Mapping[str, float]) -> dict[str, float]:
+        """Slopes of declared scalars and of effects' parameters in place of their coordinates; see `as_declared`."""
+        found: dict[str, float] = {}
+        for name, slope in slopes.items():
+            for own, by in self._slopes(name):
+                if own == name or own not in values:
+                    found[own] = found.get(own, 0.0) + by * slope
+        return found
 
     def as_declared(self, values: Mapping[str, float]) -> Mapping[str, float]:
         """Values by the names of declared scalars: the mass and the polynomial in place of their coordinates."""

@@ -46,6 +46,7 @@ from valve_sim.identification.plants.valve_model import ValveModel
 from valve_sim.identification.plants.valve_pieces import Intervals, run_in_pieces, whole_run
 from valve_sim.identification.plants.valve_sensitivities import pieces, sensitivities
 from valve_sim.identification.plants.valve_sensors import (
+    NO_TIMES,
     amperes,
     averaged,
     channels_of,
@@ -78,6 +79,9 @@ SHORTEST_SPAN: Final = 1e-6
 GAS_STEP: Final = 2e-5
 """Prior scales. Along the usual step the pressures come to be equal so much later that it is more than the main plunger
 takes to open: a clogged orifice was given a twentieth of its standard error."""
+OF_CURRENT: Final[Mapping[str, float]] = {"zero": 2e-3, "scale": 5e-3}
+"""Scales of the errors of a current's sensor, as shares of the largest current, where they are not those of a position
+sensor: a clamp or a shunt is good for 0.5 % and 2 mA of 1 A."""
 
 
 def dampings_of(valve: Valve) -> tuple[str, ...]:
@@ -339,28 +343,41 @@ class ValvePlant:
         return [IntervalFactors(self.valve, trace, index) for index, trace in enumerate(self.traces)]
 
     def sensors(self, values: Mapping[str, float]) -> dict[int, Sensor]:
-        """The position sensor of each trace; the mount of one at a valve with gas does not ring.
+        """The sensors of positions and of the current of each trace; of a valve that is watched, those of positions.
+
+        The mount of a position sensor at a valve with gas does not ring.
 
         Raises:
             SimulationError: the simulation could not be carried to its end.
         """
         found: dict[int, Sensor] = {}
-        valve, own_sheet = self._model.simulated(values), self.valve.tolerances.sensor
-        shares = {"scale": own_sheet.gain, "bend": own_sheet.linearity}
-        if self._is_watched:
-            shares = dict.fromkeys(shares, 0.0)
-        for index, trace in enumerate(self.traces):
-            if not trace.has_positions:
-                continue
-            drive, late = drive_with(trace, index, values, self.valve), lateness_with(index, values)
-            own = next(iter(self._channels_of(index)))
-            is_calm = self._is_watched or self.valve.gas is not None
-            meet = NO_CONTACTS if is_calm else contacts(valve, trace, drive, late)
-            alike = next(iter(found), own) if self._is_watched else None
-            # A stroke is two intervals, whenever its recording begins.
-            knots = trace.drive.times[1:2] if self._is_watched else trace.drive.times
-            found[own] = Sensor(self.valve.parameters.stroke, knots, meet, shares, alike)
+        valve = self._model.simulated(values)
+        for index in range(len(self.traces)):
+            for place in self._channels_of(index):
+                kind = self._channels[place].kind
+                if kind == "position":
+                    found[place] = self._position_sensor(valve, index, values, next(iter(found), place))
+                elif kind == "current" and not self._is_watched:
+                    span = float(np.max(np.abs(self._channels[place].data), initial=0.0))
+                    found[place] = Sensor(span or 1.0, NO_TIMES, shares=OF_CURRENT, is_true_at_rest=False)
         return found
+
+    def _position_sensor(self, valve: Valve, index: int, values: Mapping[str, float], first: int) -> Sensor:
+        """The position sensor of a trace.
+
+        Args:
+            valve: as simulated. index: of the trace. values: by name.
+            first: the channel of the first trace's positions.
+        """
+        trace, sheet = self.traces[index], self.valve.tolerances.sensor
+        if self._is_watched:
+            # A stroke is two intervals, whenever its recording begins.
+            shares = {"scale": 0.0, "bend": 0.0}
+            return Sensor(self.valve.parameters.stroke, trace.drive.times[1:2], shares=shares, alike=first)
+        drive, late = drive_with(trace, index, values, self.valve), lateness_with(index, values)
+        meet = contacts(valve, trace, drive, late) if self.valve.gas is None else NO_CONTACTS
+        shares = {"scale": sheet.gain, "bend": sheet.linearity}
+        return Sensor(self.valve.parameters.stroke, trace.drive.times, meet, shares)
 
     def predict(self, values: Mapping[str, float]) -> list[Array]:
         """What each channel would show, in its unit.

@@ -106,9 +106,9 @@ class ValveModel:
         """
         return self._tolerated.propagated(names, covariance)
 
-    def is_plain(self, name: str) -> bool:
-        """Whether a freed value is one of the valve's numbers, and changes no other."""
-        return self._tolerated.is_plain(name)
+    def plain_slopes(self, slopes: Mapping[str, float], values: Mapping[str, float]) -> dict[str, float]:
+        """How declared values and parameters of effects move along a direction, by their plain names."""
+        return self._tolerated.plain_slopes(slopes, values)
 
     def simulated(self, values: Mapping[str, float]) -> Valve:
         """The valve that is simulated where freed values describe it.

@@ -58,6 +58,7 @@ def sensitivities(
     values, moved = _with_all(model, values, directions)
     valve, slopes, rated, known = _slopes_of(model, values, moved, directions)
     columns: list[Array] = []
+    seen: list[Array] = []
     if not known.any():
         return Sensitivities([], known)
     for index, trace in enumerate(traces):
@@ -78,12 +79,15 @@ def sensitivities(
         if trace.has_positions:
             positions = averaged(trace, shown.of_positions)
             columns.append(positions + zeros if zeros.any() else positions)
+            seen.append(averaged(trace, shown.positions) + at.zero)
         if trace.coil_current is not None:
+            seen.append(rated[0] * shown.currents)
             columns.append(_rated(rated, shown.currents, shown.of_currents))
         if trace.outlet_pressure is not None:
             assert isinstance(shown, Shown)
             columns.append(shown.of_pressures)
-    return Sensitivities(columns, known)
+            seen.append(shown.pressures)
+    return Sensitivities(columns, known, seen)
 
 
 def _with_all(
@@ -134,12 +138,11 @@ def _slopes_of(
     for row, (there, direction) in enumerate(zip(moved, directions, strict=True)):
         if all(map(is_of_recording, direction.slopes)):
             continue
-        if all(own in places and model.is_plain(own) and not _is_watched(own) for own in direction.slopes):
-            for name in direction.slopes:
-                place = places[name]
-                if there[name] != numbers[place]:
-                    slopes[row, place] = (there[name] - numbers[place]) / direction.step
-            known[row] = np.isfinite(slopes[row]).all()
+        plain = model.plain_slopes(direction.slopes, values)
+        if all(own in places and not _is_watched(own) for own in plain):
+            for name, slope in plain.items():
+                slopes[row, places[name]] = slope
+            known[row] = np.isfinite(numbers[[places[name] for name in plain]]).all()
             continue
         other: Valve = model.simulated(there)
         there_numbers = other.numbers()

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.identification.diagnosis.run import Diagnosis
-from valve_sim.identification.estimation.gram import root_mean_square
-from valve_sim.identification.estimation.result import Fit
+from valve_sim.identification.fit.gram import root_mean_square
+from valve_sim.identification.fit.result import Fit
 from valve_sim.identification.plants.protocol import Array, Channel, primary_channels
 from valve_sim.identification.plants.valve import ValvePlant
 

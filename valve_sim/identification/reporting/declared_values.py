@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 from valve_sim.files.json_text import plain
-from valve_sim.identification.estimation.declared_values import BEYOND, DeclaredValue, out_of_tolerance
-from valve_sim.identification.estimation.intervals import Interval
+from valve_sim.identification.fit.declared_values import BEYOND, DeclaredValue, out_of_tolerance
+from valve_sim.identification.fit.intervals import Interval
 from valve_sim.identification.plants.effect_titles import capitalised
 from valve_sim.identification.plants.tolerances import GROUP
 from valve_sim.identification.reporting.units import measured, readable, signed

@@ -8,8 +8,10 @@ from typing import Any
 from valve_sim.files.json_text import plain_mapping
 from valve_sim.identification.diagnosis.experiment_design import Recommendation
 from valve_sim.identification.diagnosis.run import Diagnosis, State
+from valve_sim.identification.fit.curves import Unexplained
 from valve_sim.identification.plants.protocol import primary_channels
 from valve_sim.identification.plants.tolerances import GROUP
+from valve_sim.identification.reporting.correction import channels_json, correction_json, names_json
 from valve_sim.identification.reporting.declared_values import declared_json
 from valve_sim.identification.reporting.findings import interval_json, intervals_json
 from valve_sim.identification.reporting.followed_positions import strokes_followed, strokes_json
@@ -18,7 +20,6 @@ from valve_sim.identification.reporting.recording_state import recording_json
 from valve_sim.identification.reporting.summary import recording_advice, summarise
 from valve_sim.identification.reporting.units import in_unit
 from valve_sim.identification.reporting.wording import headline, meanings
-from valve_sim.identification.selection.force_maps import Unexplained
 
 
 def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
@@ -31,7 +32,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
     problem = diagnosis.before.fit.problem
     scale, unit = problem.plant.channels[primary_channels(problem.plant)[0]].readable
     report = {
-        "schema": "valve_sim/diagnosis/2",
+        "schema": "valve_sim/diagnosis/3",
         "sources": list(diagnosis.sources),
         "unit": unit,
         **in_unit("noise", scale * problem.noise.sigma, unit),
@@ -49,7 +50,12 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
             "headline": headline(diagnosis),
         },
         "meaning": {meaning.name: meaning.to_json() for meaning in meanings(diagnosis)},
-        "after": {**_state_json(diagnosis.after, scale, unit), "effects": _effects_json(diagnosis.after)},
+        "correction": correction_json(diagnosis),
+        "names": names_json(diagnosis),
+        "channels": channels_json(diagnosis),
+        "after": {**_state_json(diagnosis.after, scale, unit), "effects": _effects_json(diagnosis.after)}
+        if diagnosis.verdict.is_corrected
+        else None,
         "inclusion": dict(diagnosis.inclusion),
         "recording": recording_json(diagnosis.recording),
         **declared_json(diagnosis.declared),

@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from valve_sim.files.whole_files import atomic_write
-from valve_sim.identification.estimation.static_force import StaticForce
+from valve_sim.identification.fit.static_force import StaticForce
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.identification.reporting.units import three_digits
 from valve_sim.identification.validation.replay import Replay

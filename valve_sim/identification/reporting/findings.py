@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any, Final
 
 from valve_sim.files.json_text import plain
-from valve_sim.identification.estimation.findings import (
+from valve_sim.identification.fit.findings import (
     Correlated,
     ExplainedByErrors,
     Finding,
@@ -18,8 +18,8 @@ from valve_sim.identification.estimation.findings import (
     OnBound,
     StampErrors,
 )
-from valve_sim.identification.estimation.intervals import Interval, Unbounded
-from valve_sim.identification.estimation.static_force import (
+from valve_sim.identification.fit.intervals import Interval, Unbounded
+from valve_sim.identification.fit.static_force import (
     BeginsLate,
     EndsEarly,
     Opening,

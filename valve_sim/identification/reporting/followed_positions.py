@@ -8,8 +8,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from valve_sim.files.json_text import finite_or_none
+from valve_sim.identification.diagnosis.followed_positions import FollowedPosition, followed_positions
 from valve_sim.identification.diagnosis.run import Diagnosis
-from valve_sim.identification.estimation.followed_positions import FollowedPosition, followed_positions
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.identification.reporting.curves import keep_extremes
 from valve_sim.identification.reporting.units import quantity

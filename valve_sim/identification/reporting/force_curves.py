@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.identification.diagnosis.run import Diagnosis
-from valve_sim.identification.estimation.gram import root_mean_square
+from valve_sim.identification.fit.curves import Unexplained
+from valve_sim.identification.fit.gram import root_mean_square
 from valve_sim.identification.plants.protocol import Array, Plant
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.selection.force_maps import Unexplained
 from valve_sim.model import simulate
 from valve_sim.model.effects import is_damping
 

@@ -19,10 +19,11 @@ from valve_sim import __version__
 from valve_sim.files.json_text import finite_or_none
 from valve_sim.files.whole_files import write_whole
 from valve_sim.identification.diagnosis.run import Candidate, Diagnosis, State
-from valve_sim.identification.estimation.noise import Noise
+from valve_sim.identification.fit.noise import Noise
 from valve_sim.identification.plants.effect_titles import named_value, title_of, titles_of
 from valve_sim.identification.plants.protocol import Channel, primary_channels
 from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.identification.reporting.correction import correction_lines
 from valve_sim.identification.reporting.curves import StrokeCurves, strokes_of
 from valve_sim.identification.reporting.declared_values import declared_section, plain_name
 from valve_sim.identification.reporting.findings import remark_on
@@ -193,6 +194,7 @@ def _content(diagnosis: Diagnosis) -> dict[str, Any]:
         "summary": summarise(diagnosis),
         "improvement": _improvement(diagnosis, scale, unit, sigma),
         "meanings": meanings(diagnosis),
+        "correction": list(correction_lines(diagnosis)),
         "comparison": _comparison(diagnosis, scale, unit),
         "first": captions[:FIRST_STROKES],
         "second": captions[FIRST_STROKES:SHOWN_STROKES],

@@ -10,7 +10,7 @@ import numpy as np
 
 from valve_sim.files.json_text import plain_mapping
 from valve_sim.identification.diagnosis.identify import Identification, SignalError
-from valve_sim.identification.estimation.static_force import StaticForce
+from valve_sim.identification.fit.static_force import StaticForce
 from valve_sim.identification.plants.protocol import READABLE_UNITS
 from valve_sim.identification.reporting.declared_values import declared_json, declared_lines
 from valve_sim.identification.reporting.findings import interval_lines, intervals_json, remarks

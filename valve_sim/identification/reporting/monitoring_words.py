@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import datetime, timezone
 from typing import Final
 
-from valve_sim.identification.estimation.intervals import Interval
+from valve_sim.identification.fit.intervals import Interval
 from valve_sim.identification.monitoring.fault_isolation import FaultFinding
 from valve_sim.identification.monitoring.findings import (
     DidNotClose,

@@ -12,8 +12,8 @@ import yaml
 from valve_sim.files.plant_files import PlantFile, renamed
 from valve_sim.files.whole_files import write_whole
 from valve_sim.identification.diagnosis.run import Diagnosis
-from valve_sim.identification.estimation.declared_values import declared_values
-from valve_sim.identification.estimation.result import Fit
+from valve_sim.identification.fit.declared_values import declared_values
+from valve_sim.identification.fit.result import Fit
 from valve_sim.identification.plants.own import OwnPlant
 from valve_sim.model.core.own.grammar import Expr, names_in
 from valve_sim.model.core.own.units import text_of
@@ -25,7 +25,7 @@ def corrected_plant(diagnosis: Diagnosis) -> dict[str, Any]:
     assert isinstance(plant, OwnPlant)
     result = diagnosis.after.fit
     names = tuple(name for name in diagnosis.verdict.effects if name in plant.file.effects)
-    return changed_plant(plant.file, result, names if diagnosis.verdict.kind == "effects" else ())
+    return changed_plant(plant.file, result, names if diagnosis.verdict.is_corrected else ())
 
 
 def changed_plant(  # noqa: PLR0912 -- one for each part of a file

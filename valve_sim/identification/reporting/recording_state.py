@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from valve_sim.identification.diagnosis.recording_state import RecordingState
-from valve_sim.identification.estimation.recorded_errors import RecordedError
+from valve_sim.identification.fit.recorded_errors import RecordedError
 from valve_sim.identification.plants.effect_titles import title_of
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.identification.reporting.findings import remarks

@@ -7,7 +7,7 @@ from collections.abc import Collection
 from typing import Final
 
 from valve_sim.identification.diagnosis.run import Diagnosis, Verdict
-from valve_sim.identification.estimation.budget import STROKES_A_SECOND
+from valve_sim.identification.fit.budget import STROKES_A_SECOND
 from valve_sim.identification.plants.effect_titles import named, what_is_missing
 from valve_sim.identification.plants.protocol import Advice, advice_of
 from valve_sim.identification.reporting.wording import declared_effects, percent
@@ -71,6 +71,8 @@ def claim(verdict: Verdict, advice: Advice, declared: Collection[str] = ()) -> s
         share = f"explains {percent(verdict.share)} of the squared error beyond noise"
         closest = f" The nearest is {named(verdict.effects)}, which {share}." if verdict.effects else ""
         return f"Something acts that no effect of the catalogue explains.{closest}"
+    if verdict.kind == "partly":
+        return "A correction that predicts unseen strokes better is applied; not all that acts has a certain name."
     if verdict.kind == "none":
         return "The declared model with refitted damping explains the data down to the noise."
     others = sorted({other for names in verdict.confusable_with.values() for other in names})

@@ -9,6 +9,7 @@ from valve_sim.identification.diagnosis.run import Diagnosis, Verdict
 from valve_sim.identification.plants.effect_titles import capitalised, named, named_value, title_of
 from valve_sim.identification.plants.protocol import primary_channels
 from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.identification.reporting.correction import correction_lines
 from valve_sim.identification.reporting.declared_values import summary_words
 from valve_sim.identification.reporting.findings import remark_on
 from valve_sim.identification.reporting.recording_state import UNTOLD, recording_lines
@@ -51,6 +52,7 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
     lines.append(f"  {label:<28}{quantity(noise, unit)}")
     remarks = (choice_words(diagnosis), rounding_words(diagnosis), unseen, holdout_words(diagnosis))
     lines += [f"  {words}" for words in remarks if words]
+    lines += [f"  {words}" for words in correction_lines(diagnosis)]
     for meaning in meanings(diagnosis):
         lines.append(f"  {meaning.title} ({meaning.name}): {told_amounts(meaning)}")
         lines += [f"    {words}" for words in (meaning.on_a_real_valve, meaning.what_to_do) if words]

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any, Final
 
-from valve_sim.identification.estimation.intervals import Interval
+from valve_sim.identification.fit.intervals import Interval
 from valve_sim.identification.plants.protocol import KEY_OF_UNIT
 
 _PREFIXES: Final[Mapping[str, tuple[tuple[float, str], ...]]] = {

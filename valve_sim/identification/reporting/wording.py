@@ -7,12 +7,13 @@ from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
 from valve_sim.identification.diagnosis.run import Diagnosis, Verdict
-from valve_sim.identification.estimation.result import effective_rmse
+from valve_sim.identification.fit.result import effective_rmse
 from valve_sim.identification.plants.effect_titles import capitalised, named, title_of, what_is_missing
 from valve_sim.identification.plants.own import OwnPlant
 from valve_sim.identification.plants.protocol import Plant, primary_channels
 from valve_sim.identification.plants.tolerances import GROUP
 from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.identification.reporting.correction import partly_headline
 from valve_sim.identification.reporting.declared_values import amount_words, plain_name
 from valve_sim.identification.reporting.units import amount, quantity
 from valve_sim.model import CATALOGUE, Effect, Parameter
@@ -65,6 +66,8 @@ def kind_words(verdict: Verdict) -> tuple[str, bool]:
         return "The budget ended too soon" if verdict.is_cut_short else "The data cannot tell", False
     if verdict.kind == "unknown":
         return "Something without a name", False
+    if verdict.kind == "partly":
+        return "Corrected in part", False
     found = "Nothing is missing" if verdict.kind == "none" else "Missing effect found"
     if verdict.probability >= SURE:
         return found, True
@@ -89,6 +92,8 @@ def headline(diagnosis: Diagnosis) -> str:
         is_valve = isinstance(diagnosis.plant, ValvePlant)
         model = "the declared valve with refitted damping" if is_valve else "the declared model, refitted,"
         return f"{kind_words(verdict)[0]}: {model} reproduces the measurement down to the noise."
+    if verdict.kind == "partly":
+        return partly_headline(diagnosis)
     missing = named(verdict.effects)
     others = list(dict.fromkeys(other for names in verdict.confusable_with.values() for other in names))
     alike = named(others, "or")
@@ -176,7 +181,7 @@ def meanings(diagnosis: Diagnosis) -> list[Meaning]:
     """What each named effect is on a real valve, how much of it there is, and what to do."""
     verdict, after, plant = diagnosis.verdict, diagnosis.after, diagnosis.plant
     found: list[Meaning] = []
-    if verdict.kind == "unknown":
+    if not verdict.is_corrected:
         return found  # nothing is claimed
     for effect in verdict.effects:
         if effect in plant.effects and plant.effects[effect].is_declared_value:
@@ -251,7 +256,15 @@ def _amount(diagnosis: Diagnosis, name: str, *, with_declared: bool) -> str:
     parameter, found = diagnosis.plant.parameter(name), diagnosis.after.intervals[name]
     unit = parameter.unit
     words = amount(found, unit) if is_inside(found.value, parameter) else value_words(found.value, parameter)
+    if _is_stand_in(diagnosis, name):
+        words = f"about {quantity(found.value, unit, 2)}"  # a stand-in's value has no error
     return f"{words}, declared {quantity(diagnosis.plant.declared(name), unit)}" if with_declared else words
+
+
+def _is_stand_in(diagnosis: Diagnosis, name: str) -> bool:
+    """Whether a value is of an effect that is not named, but only acts like what is there."""
+    effect = name.partition(".")[0]
+    return any(own.effect == effect and own.word != "named" for own in diagnosis.grades)
 
 
 def is_inside(value: float, parameter: Parameter) -> bool:

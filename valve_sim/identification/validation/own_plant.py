@@ -11,10 +11,10 @@ from functools import partial
 
 import numpy as np
 
-from valve_sim.identification.estimation.gram import gram
-from valve_sim.identification.estimation.problem import Problem
-from valve_sim.identification.estimation.result import Fit
-from valve_sim.identification.estimation.solver import fit
+from valve_sim.identification.fit.gram import gram
+from valve_sim.identification.fit.problem import Problem
+from valve_sim.identification.fit.result import Fit, fit
+from valve_sim.identification.fit.unknown import known
 from valve_sim.identification.plants.own import OwnPlant
 from valve_sim.identification.plants.protocol import Array, Channel, Direction, finite_prediction
 from valve_sim.identification.validation.replay import Allowed, Replay, StrokeCheck, Validation, errors_between
@@ -36,7 +36,7 @@ def validate_plant(plant: OwnPlant, tolerance: float | None = None) -> Validatio
     """
     finite_prediction(plant, {})
     problem = Problem(plant)
-    found = fit(problem, (), {}, nuisances=[own for own in plant.nuisances if not own.is_of_machine])
+    found = fit(problem, [known(own) for own in plant.nuisances if not own.is_of_machine], {})
     replays = []
     for index, (channel, shown, left) in enumerate(
         zip(plant.channels, plant.predict(found.values), _left_by_tolerances(found), strict=True)

@@ -21,8 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.files.channels import CHANNELS
-from valve_sim.identification.estimation.problem import Problem
-from valve_sim.identification.estimation.state_of_recording import fit_recording
+from valve_sim.identification.fit.columns import Columns, columns_of
+from valve_sim.identification.fit.problem import Problem
+from valve_sim.identification.fit.recordings import fit_recording
 from valve_sim.identification.plants.protocol import READABLE_UNITS, Array
 from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA, drive_with, zero_with
 from valve_sim.identification.plants.valve import ValvePlant
@@ -220,15 +221,17 @@ def replay_trace(trace: Trace, valve: Valve, tolerance: float | None = None) -> 
     # Before there is a prediction: each of them needs as much memory, for a moment, as that of a long recording.
     seen: dict[StrokePart, Sequence[SensorEvent]] = dict.fromkeys(find_stroke_parts(trace), ())
     seen |= {found.stroke: found.events for found in events_from_sensors(trace, valve.parameters.pilot_gap)}
-    problem = Problem(ValvePlant([_judged(trace)], replace(valve, tolerances=EXACT)))
-    nuisances = fit_recording(problem, {}).values
+    plant = ValvePlant([_judged(trace)], replace(valve, tolerances=EXACT))
+    problem = Problem(plant).condensed()
+    errors = Columns() if problem.is_long else columns_of(plant, {}, {})
+    nuisances = fit_recording(problem.with_columns(errors), {}, learns=True).values
     offset = nuisances["clock_offset[0]"]
     drive = drive_with(trace, 0, nuisances, valve)
     times = trace.sample_times
     start = min(float(drive.times.min(initial=math.inf)), float(times[0])) - CLOCK_SIGMA
     kind, _, finest = _JUDGED[trace.primary_signal]
     noise, measured = problem.noises[kind].sigma, trace.primary_samples
-    del problem  # of a long recording what they hold is large
+    del problem, plant  # of a long recording what they hold is large
     motion = motion_of(replace(valve, tolerances=EXACT), trace, drive, times, start, offset)
     shown, variance = motion.shown, np.full(len(times), noise**2)
     if tolerance is None:

@@ -1,1 +1,0 @@
-"""Parameters from data: noise and errors of recordings, priors, output-error fits, evidence, intervals."""

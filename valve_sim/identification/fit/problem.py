@@ -1,0 +1,269 @@
+"""The data of a fit as whitened residuals: measured channels, their noise, and the samples that take part."""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import functools
+import math
+from collections.abc import Callable, Mapping
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valve_sim.identification.fit.budget import Budget
+from valve_sim.identification.fit.columns import Columns
+from valve_sim.identification.fit.gram import gram
+from valve_sim.identification.fit.noise import (
+    LARGEST_ORDER,
+    SHORT_WINDOW,
+    Noise,
+    estimate_noise,
+    noise_of_residuals,
+    quiet_windows,
+    readings_near,
+    still_runs,
+    stretches,
+)
+from valve_sim.identification.fit.priors import Prior, prior_of
+from valve_sim.identification.fit.rows import CondensedRows, Rows
+from valve_sim.identification.plants.protocol import (
+    Array,
+    HasSensors,
+    InPieces,
+    Plant,
+    Thinnable,
+    primary_channels,
+)
+from valve_sim.model import SimulationError
+
+STALE: Final = ("white_columns", "column_products")
+"""What follows from the errors of the recordings and from the noise."""
+Mask = Callable[[int, NDArray[np.integer]], NDArray[np.bool_]]
+
+LONGEST_RUN: Final = 4
+"""Identical readings in a row, beyond which a coarse sensor repeats one reading."""
+LONG: Final = 100_000
+"""Residuals, some 2.5 s of position and current at 20 kHz: of more a fit does not hold its derivatives."""
+ELSEWHERE: Final = 4.0
+"""Steps of a coarse sensor by which the declared model misses it, beyond which the model does not say what is still."""
+
+
+class Problem:
+    """Measured channels, their noise, and which samples take part.
+
+    Args:
+        plant: the machine and its data.
+        takes_part: (channel index, (n,) groups) → (n,) mask of samples that are fitted; default all.
+        noises: noise by kind of channel; default estimated from the channels.
+        budget: of the fits to it; default no limit.
+
+    Attributes:
+        columns: the errors that its recordings may have.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        takes_part: Mask | None = None,
+        noises: Mapping[str, Noise] | None = None,
+        budget: Budget | None = None,
+    ) -> None:
+        self.plant = plant
+        self._condenses = False
+        self.columns = Columns()
+        self.budget = budget or Budget.unlimited()
+        self.noises = _noises(plant) if noises is None else dict(noises)
+        self._weights = [self._weight(index, takes_part) for index in range(len(plant.channels))]
+        self.samples = sum(int(np.count_nonzero(weight)) for weight in self._weights)
+        self.effective_samples = float(sum(map(_effective, self._weights)))
+
+    def restricted(self, takes_part: Mask) -> Problem:
+        """This problem with other samples taking part; data and noise are kept."""
+        same = Problem(self.plant, takes_part, self.noises, self.budget)
+        same.columns = self.columns
+        return same
+
+    def with_columns(self, columns: Columns) -> Problem:
+        """This problem with these errors of its recordings; without any where it is too long for their columns."""
+        return self._changed(*STALE, columns=Columns() if self.is_long else columns)
+
+    @functools.cached_property
+    def white_columns(self) -> Array:
+        """(r, q) what coefficients of the recordings' errors add to the rows that fits compare."""
+        columns, rows = self.columns, self.rows
+        found = np.zeros((len(rows.places.time), len(columns.unknowns)))
+        for channel, (where, own) in rows.whitened_columns(columns.samples).items():
+            first = columns.first[channel]
+            found[where, first : first + own.shape[1]] = own
+        return found
+
+    @functools.cached_property
+    def column_products(self) -> Array:
+        """(q, q) products of these."""
+        return gram(self.white_columns, self.white_columns)
+
+    def _changed(self, *stale: str, **fields: object) -> Problem:
+        """This problem with other fields, and without what was worked out from those that they replace."""
+        same = copy.copy(self)
+        for name in stale:
+            same.__dict__.pop(name, None)
+        same.__dict__.update(fields)
+        return same
+
+    def with_noise_left_by(self, values: Mapping[str, float]) -> Problem:
+        """This problem with the noise of what is never still taken from what these values leave of it."""
+        shown = self.plant.predict(values)
+        pieces: dict[str, list[Array]] = {kind: [] for kind, noise in self.noises.items() if noise.samples == 0}
+        for index, channel in enumerate(self.plant.channels):
+            for group in np.unique(channel.group) if channel.kind in pieces else ():
+                chosen = (channel.group == group) & (self.weight(index) > 0.0)
+                pieces[channel.kind].append((channel.data - shown[index])[chosen])
+        learned = {kind: noise_of_residuals(found, self.noises[kind]) for kind, found in pieces.items()}
+        return self.with_noises({**self.noises, **learned})
+
+    def with_noises(self, noises: Mapping[str, Noise]) -> Problem:
+        """This problem with other noise; data and samples are kept."""
+        own = {kind: noises.get(kind, noise) for kind, noise in self.noises.items()}
+        return self._changed(*STALE, "_condensed_rows", "every_row", noises=own)
+
+    def condensed(self) -> Problem:
+        """This problem for fits that sum up what is read while the machine is still."""
+        return self._changed(*STALE, "_condensed_rows", _condenses=True)
+
+    def with_every_row(self) -> Problem:
+        """This problem for fits that take each sample by itself."""
+        return self._changed(*STALE, "_condensed_rows", _condenses=False)
+
+    @property
+    def rows(self) -> Rows:
+        """What fits compare: each sample, or the equivalent of all of them in fewer rows."""
+        return self._condensed_rows or self.every_row
+
+    @functools.cached_property
+    def every_row(self) -> Rows:
+        """Each sample by itself."""
+        return Rows(self.plant, self._weights, self._noise_of_each, self.budget)
+
+    @functools.cached_property
+    def _condensed_rows(self) -> CondensedRows | None:
+        plant = self.plant
+        if not self._condenses or self.is_long or not (isinstance(plant, Thinnable) and plant.can_be_thinned):
+            return None
+        return CondensedRows(plant, self._weights, self._noise_of_each, self.budget)
+
+    @property
+    def _noise_of_each(self) -> list[Noise]:
+        return [self.noise_of(index) for index in range(len(self.plant.channels))]
+
+    def residuals(self, values: Mapping[str, float]) -> Array:
+        """(n,) whitened, weighted residuals of each sample of all channels in a row (measured − predicted).
+
+        Raises:
+            SimulationError: the machine cannot be simulated with these values.
+        """
+        return self.every_row.residuals(values)
+
+    def without_limit(self) -> Problem:
+        """This problem without a limit of work."""
+        condensed, every = self._condensed_rows, self.every_row.without_limit()
+        rows = None if condensed is None else condensed.without_limit()
+        return self._changed(budget=Budget.unlimited(), _condensed_rows=rows, every_row=every)
+
+    @property
+    def noise(self) -> Noise:
+        """The noise of the response in which errors are reported."""
+        return self.noise_of(primary_channels(self.plant)[0])
+
+    def prior(self, name: str) -> Prior:
+        """The prior of a freed parameter, in the coordinate in which it is searched."""
+        return prior_of(self.plant, name)
+
+    def noise_of(self, index: int) -> Noise:
+        """The noise of a channel."""
+        return self.noises[self.plant.channels[index].kind]
+
+    def weight(self, index: int) -> Array:
+        """(n,) how much each sample of a channel counts; 0 where it takes no part."""
+        return self._weights[index]
+
+    @property
+    def is_long(self) -> bool:
+        """Whether a fit only adds its residuals up."""
+        return is_long(self.plant)
+
+    def _weight(self, index: int, takes_part: Mask | None) -> Array:
+        channel = self.plant.channels[index]
+        # One number that stands for all: a weight for each sample of a long recording is large.
+        weight: Array = np.broadcast_to(1.0, len(channel.data))
+        noise = self.noise_of(index)
+        if noise.step > 0.0 and noise.is_coarse:
+            # A coarse sensor at rest repeats one reading; a thousand copies are not a thousand measurements. The runs
+            # are the declared model's: weights by the readings themselves depend on their errors, which with 1 µm
+            # of noise and 5 µm steps biases the dampings by 0.16 standard errors.
+            shown = self.plant.predict({})[index]
+            runs = still_runs(np.round(shown / noise.step))
+            weight = np.where(runs > LONGEST_RUN, 1.0 / np.sqrt(runs), weight)
+            is_elsewhere = np.abs(channel.data - shown) > ELSEWHERE * noise.step
+            for start, stop in stretches(channel.quiet):
+                weight[start:stop] = np.minimum(weight[start:stop], 1.0 / math.sqrt(stop - start))
+                # A valve that stays where the declared one moves is still for longer than what is surely quiet.
+                still = np.arange(*_stays(channel.data, start, stop, noise.step))
+                missed = still[is_elsewhere[still]]
+                weight[missed] = np.minimum(weight[missed], 1.0 / math.sqrt(len(still)))
+        if channel.left_out is not None:
+            # Whitening would carry what is between two readings into those after it, and a line between them is no
+            # motion: at 2 kHz it is off by 60 µm. The noise of what is never still is known later: of any order.
+            order = len(noise.coefficients) if noise.samples else LARGEST_ORDER
+            weight = np.where(_reached(channel.left_out, order), 0.0, weight)
+        if takes_part is not None:
+            weight = np.where(takes_part(index, channel.group), weight, 0.0)
+        return weight
+
+
+def is_long(plant: Plant) -> bool:
+    """Whether there are so many samples that a fit only adds residuals up, where the plant gives them in pieces."""
+    return sum(len(channel.data) for channel in plant.channels) > LONG and isinstance(plant, InPieces)
+
+
+def _noises(plant: Plant) -> dict[str, Noise]:
+    """The noise of each kind of channel."""
+    humming = _humming(plant)
+    return {
+        kind: estimate_noise([channel for channel in plant.channels if channel.kind == kind], may_hum=kind in humming)
+        for kind in sorted({channel.kind for channel in plant.channels})
+    }
+
+
+def _humming(plant: Plant) -> set[str]:
+    """Kinds of the channels whose hum fits estimate along; none of a long recording, whose errors have no columns."""
+    if not isinstance(plant, HasSensors) or is_long(plant):
+        return set()
+    with contextlib.suppress(SimulationError):
+        return {plant.channels[index].kind for index in plant.sensors({})}
+    return set()
+
+
+def shows_rest(plant: Plant) -> bool:
+    """Whether a plant's channels are ever known to be still for long enough to show a sensor's noise."""
+    return any(quiet_windows(channel, SHORT_WINDOW) for channel in plant.channels)
+
+
+def _reached(left_out: NDArray[np.bool_], order: int) -> NDArray[np.bool_]:
+    """(n,) samples that are left out, and those whose whitened residuals rest on one."""
+    found = left_out.copy()
+    for lag in range(1, order + 1):
+        found[lag:] |= left_out[:-lag]
+    return found
+
+
+def _effective(weight: Array) -> float:
+    """How many samples there are, of which copies of one reading count once."""
+    return float(np.sum(np.minimum(weight, 1.0) ** 2)) if any(weight.strides) else float(len(weight))
+
+
+def _stays(data: Array, start: int, stop: int, step: float) -> tuple[int, int]:
+    """Where a coarse sensor that is still from `start` to `stop` begins and ends to read so, but for one step."""
+    level, margin = float(np.median(data[start:stop])), 1.5 * step
+    return start - readings_near(data[:start][::-1], level, margin), stop + readings_near(data[stop:], level, margin)

@@ -1,1 +1,0 @@
-"""Which effects act: hypotheses, the search over them, their evidence and posterior, predictions of held-out data."""
