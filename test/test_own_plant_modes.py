@@ -9,8 +9,11 @@ from click.testing import CliRunner
 from numpy.typing import NDArray
 
 from valve_sim.cli import main
+from valve_sim.files.parameter_files import load_valve
 from valve_sim.files.plant_entries import PlantFileError
-from valve_sim.files.plant_files import plant_from
+from valve_sim.files.plant_files import load_plant, plant_from
+from valve_sim.model import Drive, simulate
+from valve_sim.model.core.own.simulation import Inputs, Machine
 
 PLUNGER = Path(__file__).parents[1] / "docs" / "examples" / "own_plants" / "plunger.yaml"
 Array = NDArray[np.float64]
@@ -98,3 +101,23 @@ def test_a_slip_is_one_line(old: str, new: str, words: str) -> None:
         plant_from(yaml.safe_load(text.replace(old, new, 1)), "plunger.yaml")
     assert "\n" not in str(caught.value)
     assert str(caught.value).startswith("plunger.yaml: ")
+
+
+def test_a_valve_of_ones_own_lifts_and_arrives_as_that_of_its_parameter_file_does() -> None:
+    """Up to its stop both are the same machine; then this one presses into the stop, and it bounces on its seat."""
+    file = load_plant(PLUNGER.with_name("single_plunger.yaml"))
+    valve = load_valve(Path(__file__).parents[1] / "config" / "single_plunger.yaml")
+    expected = {event.kind.name: event.time for event in simulate(valve, Drive.of([0.0], [24.0]), [0.0, 0.02]).events}
+    machine = Machine(file.equations(), list(file.parameters))
+    times, voltage = np.linspace(0.0, 0.06, 601), np.array([[24.0], [0.0]])
+    numbers = {name: own.value for name, own in file.parameters.items()}
+    start = dict.fromkeys(file.states, 0.0)
+    shown = machine.run(numbers, start, Inputs(np.array([0.0, 0.03]), voltage, np.array([True])), times)
+    events = [event.name for event in shown.events]
+    first = {event.name: event.time for event in reversed(shown.events)}
+    assert first["unseated"] == pytest.approx(expected["UNSEATED"], abs=1e-9)
+    assert first["touched_stop"] == pytest.approx(expected["REACHED_STOP"], abs=1e-8)
+    assert np.max(shown.outputs[:, 1]) > 1.0e-3
+    assert events[-2:] == ["bounced", "seated"]
+    assert events.count("left_stop") == events.count("touched_stop")
+    assert shown.outputs[-1, 1] == 0.0

@@ -399,3 +399,13 @@ def test_time_that_stands_still_is_said_with_the_mend() -> None:
     ball = PENDULUM.replace("-a*sin(q)", "-a").replace("e: {value: 0.7}", "e: {value: 0.5}")
     with pytest.raises(SimulationError, match=r"time stands still at .* transitions 1 of .* add a mode"):
         run(ball, NO_INPUTS, np.array([0.0, 10.0]))
+
+
+def test_a_block_whose_speed_drifted_by_rounding_while_it_stuck_slips_on() -> None:
+    file = file_of(BELT)
+    numbers = {"mass": 0.6556788763407367, "k": 97.03651411481773, "friction": 2.5752541591892433,
+               "stick": 1.3336996094625946, "falls": 0.2513980648203717, "belt": 0.07018844572727007}  # fmt: skip
+    times = np.linspace(0.0, 3.0, 301)
+    shown = machine_of(file).run(numbers, {"x": 0.0, "v": 0.0}, NO_INPUTS, times)
+    assert np.min(shown.outputs[times > 0.6, 2]) < -1e-3  # it sticks until 0.580 s
+    assert np.max(shown.outputs[:, 2]) < 1e-12

@@ -34,8 +34,8 @@ FARTHEST: Final = 1e3
 """Times its size that a state may move in a step: a series that ends has no other bound, and rounding hides guards."""
 FAR: Final = 60.0
 """The logarithm to base 2 of a time, s, that no step comes to: that of the power of an error of 0 has no end."""
-OF_TERMS: Final = 1e-15
-"""Of the sizes of what is added up: the rounding error of a sum."""
+OF_TERMS, OF_DRIFT = 1e-15, 1e-12
+"""Of the sizes of what is added up: the rounding error of a sum, and that of one which a state has slid along."""
 
 
 class _Watch(NamedTuple):
@@ -163,7 +163,7 @@ class Kernels:
             slot = at.WATCH + at.WATCH_SLOTS * place
             code.store(slot, margin)
             code.store(slot + 1, code.constant(float(watch.event)))
-            code.store(slot + 2, _rounding(code, series, watch.node))
+            code.store(slot + 2, self._rounding(code, series, watch.node))
             for k, value in enumerate(own):
                 code.store(at.WATCH_SERIES + place * at.TERMS + k, value)
             suspect = code.select(code.compare("ogt", margin, zero), suspect, code.constant(1.0))
@@ -195,6 +195,17 @@ class Kernels:
                 f"found {len(found)} guards and switches in one mode, expected at most {at.MOST_WATCHES}"
             )
         return found
+
+    def _rounding(self, code: Code, series: Series, node: Node) -> Value:
+        """Below what size the sign of an expression is that of its rounding: its terms may be large, itself small."""
+        sizes: dict[Node, Value] = {}
+        for own in sorted(ancestors([node]), key=lambda one: one.index):
+            if own.op in ("add", "sub"):
+                sizes[own] = code.add(sizes[own.args[0]], sizes[own.args[1]])
+            else:
+                sizes[own] = sizes[own.args[0]] if own.op == "neg" else code.call("fabs", series.value(own))
+        has_slid = node in [self.system.switches[switch] for switch in self.system.sliders]
+        return code.mul(sizes[node], code.constant(OF_DRIFT if has_slid else OF_TERMS))
 
     def _scale(self, code: Code, place: int, first: Value) -> Value:
         """Of what the errors of a state are relative to: the largest size that it has had so far."""
@@ -255,7 +266,7 @@ class Kernels:
         self._store(code, series, at.GUARD_RATE, [system.rate_of(own) for own in system.guards], wide=False)
         self._store(code, series, at.EXCESS, system.switches)
         for j, guard in enumerate(system.switches):
-            code.store(at.UNSURE + j, _rounding(code, series, guard))
+            code.store(at.UNSURE + j, self._rounding(code, series, guard))
         self._store(code, series, at.EXCESS_RATE, [system.rate_of(own) for own in system.switches], wide=False)
         for k, switch in enumerate(system.sliders):
             slides_now = code.compare("ogt", code.load(at.SLIDES + k), code.constant(0.5))
@@ -348,17 +359,6 @@ class Kernels:
 
 def _chosen(code: Code, holds: Value | None, value: Value, other: Value) -> Value:
     return value if holds is None else code.select(holds, value, other)
-
-
-def _rounding(code: Code, series: Series, node: Node) -> Value:
-    """Below what size the sign of an expression is that of its rounding: its terms may be large, and it be small."""
-    sizes: dict[Node, Value] = {}
-    for own in sorted(ancestors([node]), key=lambda one: one.index):
-        if own.op in ("add", "sub"):
-            sizes[own] = code.add(sizes[own.args[0]], sizes[own.args[1]])
-        else:
-            sizes[own] = sizes[own.args[0]] if own.op == "neg" else code.call("fabs", series.value(own))
-    return code.mul(sizes[node], code.constant(OF_TERMS))
 
 
 def _horner(code: Code, coefficients: Sequence[Value], h: Value) -> Value:

@@ -1,5 +1,5 @@
-"""A machine of a user's own: its equations as text, and the integrator that is derived from them.
+"""Machines of a user's own: their equations as text, and what the engine makes of them.
 
-`grammar` reads expressions, `units` checks their units, `system` turns them into graphs of the `tracer`, `kernels`
-turns the graphs into the steps of the integrator, `driver` is the integrator, and `simulation` runs it on arrays.
+`grammar` reads expressions, `units` checks their units, `equations` describes the machine to the engine (`hybrid`), and
+`simulation` runs it: at once, with derivatives, or live.
 """
