@@ -189,7 +189,7 @@ def _content(diagnosis: Diagnosis) -> dict[str, Any]:
         "kind": verdict.kind,
         "kind_words": words,
         "is_sure": is_sure,
-        "probability": percent(verdict.probability),
+        "probability": "" if verdict.kind == "partly" else percent(verdict.probability),
         "headline": headline(diagnosis),
         "summary": summarise(diagnosis),
         "improvement": _improvement(diagnosis, scale, unit, sigma),
