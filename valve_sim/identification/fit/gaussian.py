@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from functools import cached_property
 from typing import Final, NamedTuple
 
@@ -382,8 +382,3 @@ def _log_integral(group: Group, logs: OfSizes) -> float:
     """Ln of ∫ L(s)/L(0) p(s) ds; densities are of s over the scale, and the grid is even in its logarithm."""
     step = math.log(group.grid[1] / group.grid[0])
     return float(logsumexp(logs.likelihood + logs.prior + np.log(group.grid / group.scale))) + math.log(step)
-
-
-def total_size(sizes: Sizes, names: Sequence[str]) -> float:
-    """The root of the sum of squares of some sizes."""
-    return math.sqrt(math.fsum(sizes[name] ** 2 for name in names))

@@ -16,12 +16,6 @@ from valve_sim.identification.plants.protocol import Array
 ROWS: Final = 128
 """Rows of a block. OpenBLAS keeps a product of up to 2¹⁸ multiplications in one thread: 45 columns by 45."""
 
-ORTHOGONAL: Final = 1e-12
-"""Largest product of two columns of a basis that is orthonormal."""
-
-ROUNDING: Final = 1e-15
-"""Share of an information that rounding leaves."""
-
 
 def gram(left: Array, right: Array) -> Array:
     """leftᵀ right.
@@ -42,32 +36,6 @@ def gram(left: Array, right: Array) -> Array:
         return np.asarray(product + left[whole:].T @ right[whole:])
 
 
-def orthonormal(columns: Array) -> Array:
-    """(n, k) an orthonormal basis of the span of (n, k) columns of about unit length.
-
-    By Cholesky factors of their Gram matrix, twice, the second to orthogonality by 16 digits (CholeskyQR2; Yamamoto,
-    Nakatsukasa, Yanagisawa and Fukaya, Electron. Trans. Numer. Anal. 44, 2015, p. 306), which needs no threads either;
-    by Householder's reflections where the columns depend on each other.
-    """
-    basis = columns
-    try:
-        for _ in range(2):
-            factor = np.linalg.cholesky(gram(basis, basis))
-            basis = _times(basis, np.linalg.inv(factor).T)
-    except np.linalg.LinAlgError:
-        return np.asarray(np.linalg.qr(columns)[0])
-    error = float(np.max(np.abs(gram(basis, basis) - np.eye(basis.shape[1])), initial=0.0))
-    return basis if error < ORTHOGONAL else np.asarray(np.linalg.qr(columns)[0])
-
-
-def _times(tall: Array, square: Array) -> Array:
-    """Tall square, (n, k) and (k, k), in blocks."""
-    product = np.empty_like(tall)
-    for start in range(0, len(tall), ROWS):
-        product[start : start + ROWS] = tall[start : start + ROWS] @ square
-    return product
-
-
 def sum_squares(values: Array) -> float:
     """Sum of squares of (n,) values; infinite where they are too large to be squared."""
     with np.errstate(over="ignore"):
@@ -77,14 +45,3 @@ def sum_squares(values: Array) -> float:
 def root_mean_square(values: Array) -> float:
     """√(mean of squares), in the unit of the values; nan where there are none."""
     return math.sqrt(float(np.mean(np.square(values)))) if len(values) else math.nan
-
-
-def information_less(whole: Array, part: Array) -> Array:
-    """(k, k) information without a part of it, (k, k); along no direction less than rounding leaves of the whole."""
-    scale = np.sqrt(np.maximum(np.diag(whole), np.finfo(float).tiny))
-    left = (whole - part) / np.outer(scale, scale)
-    # Where a part is more than the whole, both are rounding, which must not be divided by next to nothing.
-    is_rounding = np.diag(part) > 2.0 * np.diag(whole)
-    left[is_rounding] = left[:, is_rounding] = 0.0
-    values, vectors = np.linalg.eigh(0.5 * (left + left.T))
-    return np.asarray((vectors * np.maximum(values, ROUNDING)) @ vectors.T * np.outer(scale, scale))

@@ -23,7 +23,6 @@ import numpy as np
 
 from valve_sim.identification.plants.protocol import (
     Array,
-    Nuisance,
     Plant,
     internal_bounds,
     internal_scale,
@@ -187,8 +186,3 @@ def log_density_of(priors: Sequence[Prior], at: Array) -> float:
 def lowest(prior: Prior) -> float:
     """Where the support of a prior begins, in the search coordinate."""
     return SMALLEST_SHARE * prior.median if isinstance(prior, LogNormal) else -math.inf
-
-
-def prior_of_nuisance(nuisance: Nuisance) -> Normal:
-    """The prior of an error of a recording, or of a declared value with a tolerance."""
-    return Normal(nuisance.mean, nuisance.sigma)

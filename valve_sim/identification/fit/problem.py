@@ -132,10 +132,6 @@ class Problem:
         """This problem for fits that sum up what is read while the machine is still."""
         return self._changed(*STALE, "_condensed_rows", _condenses=True)
 
-    def with_every_row(self) -> Problem:
-        """This problem for fits that take each sample by itself."""
-        return self._changed(*STALE, "_condensed_rows", _condenses=False)
-
     @property
     def rows(self) -> Rows:
         """What fits compare: each sample, or the equivalent of all of them in fewer rows."""
@@ -164,12 +160,6 @@ class Problem:
             SimulationError: the machine cannot be simulated with these values.
         """
         return self.every_row.residuals(values)
-
-    def without_limit(self) -> Problem:
-        """This problem without a limit of work."""
-        condensed, every = self._condensed_rows, self.every_row.without_limit()
-        rows = None if condensed is None else condensed.without_limit()
-        return self._changed(budget=Budget.unlimited(), _condensed_rows=rows, every_row=every)
 
     @property
     def noise(self) -> Noise:

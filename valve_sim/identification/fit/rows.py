@@ -15,7 +15,6 @@ Of a long recording rows are not held at all: its pieces are added up one after 
 
 from __future__ import annotations
 
-import copy
 import functools
 import itertools
 import math
@@ -122,7 +121,7 @@ class RowPlaces(NamedTuple):
     steady: Array
 
 
-class Sums(NamedTuple):
+class PieceSums(NamedTuple):
     """Sums over n whitened, weighted residuals e and their derivatives J along k directions.
 
     Attributes:
@@ -167,12 +166,6 @@ class Rows:
     def counts(self) -> Array:
         """(r,) samples that each row stands for."""
         return np.concatenate([layout.counts for layout in self._layouts])
-
-    def without_limit(self) -> Rows:
-        """These rows without a limit of work."""
-        same = copy.copy(self)
-        same._budget = Budget.unlimited()
-        return same
 
     @functools.cached_property
     def places(self) -> RowPlaces:
@@ -269,7 +262,7 @@ class Rows:
             start += len(own)
         return found
 
-    def sums(self, values: Mapping[str, float], directions: Sequence[Direction]) -> Sums | None:
+    def sums(self, values: Mapping[str, float], directions: Sequence[Direction]) -> PieceSums | None:
         """Sums over the residuals and their derivatives, of which only a piece is held; None where they are not known.
 
         Args:
@@ -293,7 +286,7 @@ class Rows:
             white = np.empty_like(rows)
             noise.whiten_into(white, rows, weight[piece.start - first : piece.start + len(rows) - first])
             total += gram(white[first:], white[first:])
-        return Sums(float(total[0, 0]), total[0, 1:], total[1:, 1:])
+        return PieceSums(float(total[0, 0]), total[0, 1:], total[1:, 1:])
 
 
 def _rows_of(piece: Piece, channel: Channel, before: Array) -> Array:
