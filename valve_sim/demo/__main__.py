@@ -254,9 +254,9 @@ class Performance:
         self._live = None
 
     def wait_for_valve(self) -> None:
-        """Return when the node publishes and listens."""
+        """Return when positions and coil are heard, and the node listens."""
         begin, is_told = time.monotonic(), False
-        while self._clock.latest is None or not self._listener.is_heard:
+        while self._clock.latest is None or not self._coil_stamp or not self._listener.is_heard:
             if time.monotonic() > begin + LONG_START and not is_told:
                 self._say("(it is still starting: the first time, it compiles the model)")
                 is_told = True
