@@ -294,10 +294,9 @@ def written_grounds(grounds: Grounds) -> dict[str, Any]:
         "effects": sorted(grounds.rivals.effects),
         "declared": sorted(grounds.rivals.declared),
         "table": [
-            [list(names), _finite(one.plain), _finite(one.unnamed), one.is_fitted, one.is_untried]
+            [list(names), _finite(one.plain), _finite(one.unnamed), one.is_fitted, one.is_untried, _finite(one.forced)]
             for names, one in grounds.table.items()
         ],
-        "curves": [*filter(math.isfinite, grounds.curves)],
         "odds_of_unnamed": [[list(names), min(odds, 1e9)] for names, odds in grounds.odds_of_unnamed.items()],
         "sizes": dict(grounds.sizes),
     }
@@ -307,17 +306,19 @@ def _finite(number: float) -> float | None:
     return number if math.isfinite(number) else None
 
 
+def _number(written: float | None) -> float:
+    return -math.inf if written is None else written
+
+
 def grounds_of(answer: Answer) -> Grounds:
     """The table of evidence of an answer that was written with it."""
     known = answer.grounds
     table = {
-        tuple(names): Evidence(
-            -math.inf if plain is None else plain, -math.inf if unnamed is None else unnamed, is_fitted, is_untried
-        )
-        for names, plain, unnamed, is_fitted, is_untried in known["table"]
+        tuple(names): Evidence(_number(plain), _number(unnamed), is_fitted, is_untried, _number(forced))
+        for names, plain, unnamed, is_fitted, is_untried, forced in known["table"]
     }
     return Grounds(
-        Rivals(frozenset(known["effects"]), frozenset(known["declared"])), table, tuple(known["curves"]),
+        Rivals(frozenset(known["effects"]), frozenset(known["declared"])), table,
         {tuple(names): odds for names, odds in known["odds_of_unnamed"]}, known["sizes"],
     )  # fmt: skip
 

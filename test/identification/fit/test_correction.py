@@ -59,7 +59,7 @@ def test_leaving_out_from_sums_is_what_fits_without_each_condition_find(names: S
     fit, parts = search.tried[names].fit, parts_of(search.problem)
     assert len(parts) == 8
     by_sums = np.exp(left_out(fit.gaussian, parts).log_rms) * search.problem.noise.innovation
-    real = [math.sqrt(own.squares / own.samples) for own in refitted_errors(search.fitter, names, fit, parts)]
+    real = [math.sqrt(own.squares / own.samples) for own in refitted_errors(fit, parts)]
     assert by_sums == pytest.approx(real, rel=0.15)
     assert np.mean(np.log(by_sums / real)) == pytest.approx(0.0, abs=0.04)
 

@@ -22,7 +22,7 @@ PLACES = {
 
 
 def a_map(variable: str, unit: str = "m") -> ForceMap:
-    names = tuple(f"{variable}{number}" for number in range(12))
+    names = tuple(f"{variable}{number}" for number in range(SPLINES))
     return ForceMap(variable, names, {f"low of {variable}": 0.0}, 0.0, 1.0, unit, "count")
 
 

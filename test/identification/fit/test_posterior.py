@@ -72,14 +72,12 @@ SOME = {"": 0.0, "a": 6.0, "b": 4.5, "ab": 7.0, "c": -2.0}
 
 
 def test_probabilities_add_up_to_one_whatever_is_in_the_table() -> None:
-    for curves in ([], [3.0], [3.0, 2.0, 90.0]):
-        found = posterior_of(MANY, table(SOME, 5.0), curves, {("a",): 2.0})
-        total = math.fsum(share.total for share in found.shares.values()) + math.fsum(found.curves)
-        assert total == pytest.approx(1.0)
-        assert len(found.curves) == len(curves)
-        assert found.unnamed == pytest.approx(
-            math.fsum(share.unnamed for share in found.shares.values()) + math.fsum(found.curves)
-        )
+    for forced in (-math.inf, 3.0, 90.0):
+        tried = table(SOME, 5.0)
+        tried["a",] = tried["a",]._replace(forced=forced)
+        found = posterior_of(MANY, tried, {("a",): 2.0})
+        assert math.fsum(share.total for share in found.shares.values()) == pytest.approx(1.0)
+        assert found.unnamed == pytest.approx(math.fsum(share.unnamed for share in found.shares.values()))
 
 
 def test_odds_are_those_of_prior_and_evidence() -> None:
@@ -91,7 +89,7 @@ def test_odds_are_those_of_prior_and_evidence() -> None:
 
 
 def test_held_out_odds_raise_the_unnamed_of_their_set_alone() -> None:
-    before, after = (posterior_of(MANY, table(SOME, 3.0), (), odds) for odds in (None, {("a",): 4.0}))
+    before, after = (posterior_of(MANY, table(SOME, 3.0), odds) for odds in (None, {("a",): 4.0}))
     assert after.unnamed > before.unnamed
     ratio = (after.shares["a",].unnamed / after.shares["a",].plain) / (
         before.shares["a",].unnamed / before.shares["a",].plain
@@ -190,6 +188,7 @@ def test_what_has_no_name_is_unknown_whatever_leads_beside_it() -> None:
     assert own.beside["a",] > 0.99
 
 
-def test_a_curve_is_unnamed_as_well() -> None:
-    assert decide(posterior_of(MANY, table({"": 0.0}), [30.0])).kind == "unknown"
-    assert decide(posterior_of(MANY, table({"": 0.0}), [-3.0])).kind == "none"
+def test_a_force_without_a_name_is_unnamed_as_well() -> None:
+    for forced, kind in ((30.0, "unknown"), (-3.0, "none")):
+        tried = {**table({"": 0.0}), (): Evidence(0.0, -math.inf, forced=forced)}
+        assert decide(posterior_of(MANY, tried)).kind == kind

@@ -271,9 +271,8 @@ class DiagnosisSession:
     # -- what is claimed -----------------------------------------------------------------------------------------------
 
     def _decided(self) -> Grounds:
-        """The table of evidence from which the verdict follows, with curves and held-out odds."""
+        """The table of evidence from which the verdict follows, with held-out odds."""
         posterior = self._search.posterior()
-        curves = self._search.curves if posterior.unnamed > PROMISING else {}
         best = leader_of({names: share.total for names, share in posterior.shares.items()}, posterior.fitted)
         found = self._search.tried[best].result
         self._held_out.learn_errors(found)
@@ -281,7 +280,6 @@ class DiagnosisSession:
         return Grounds(
             self._search.rivals,
             self._search.table(raised[best]),
-            tuple(entry.plain for entry in curves.values()),
             raised,
             {name: len(choice.parameters) for name, choice in self._plant.effects.items()},
         )

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from valve_sim.identification.fit.descent import Descended, descend
-from valve_sim.identification.fit.fitter import Fitter, Tried
+from valve_sim.identification.fit.fitter import Tried
 from valve_sim.identification.fit.gaussian import Gaussian
 from valve_sim.identification.fit.held_out import machine_values
 from valve_sim.identification.fit.left_out import (
@@ -261,24 +261,23 @@ class Errors(NamedTuple):
     samples: int
 
 
-def refitted_errors(fitter: Fitter, names: Set, fit: Descended, parts: Sequence[Part]) -> list[Errors]:
+def refitted_errors(fit: Descended, parts: Sequence[Part]) -> list[Errors]:
     """Each part predicted by a fit to the others.
 
     Args:
-        fitter: of all data. names: the set. fit: of it to all data, from where the others begin.
+        fit: to all data, from where the others begin. parts: what is left out in turn.
 
     Raises:
         SimulationError: a fit to the others cannot be simulated.
         numpy.linalg.LinAlgError: the others do not determine what is freed.
     """
-    return [_refitted(fitter, fitter.model(names), fit.gaussian, part) for part in parts]
+    return [_refitted(fit.gaussian, part) for part in parts]
 
 
-def _refitted(fitter: Fitter, model: Model, fit: Gaussian, part: Part) -> Errors:
-    problem = fitter.problem
+def _refitted(fit: Gaussian, part: Part) -> Errors:
+    model, problem = fit.model, fit.model.problem
     others = problem.restricted(part.takes(problem, inside=False)).condensed()
-    start = model.at(fit.model.named(fit.z))
-    rest = descend(Model(others, model.unknowns, model.held), start, fit.sizes).gaussian
+    rest = descend(Model(others, model.unknowns, model.held), fit.z, fit.sizes).gaussian
     whole = Gaussian(model, rest.z, model.linearise(rest.z), fit.sizes)
     move = predicting(whole, rest, np.zeros(rest.count))
     left = residuals_at(model, np.clip(rest.z + move[: rest.count], rest.lower, rest.upper), move[rest.count :])
@@ -464,7 +463,7 @@ def _outcome(scoring: Scoring, choice: Choice) -> Correction:
     errors, is_refitted = by_sums, False
     is_applied = choice.is_applied
     if names and parts and not scoring._is_cut_short("refits without each condition"):
-        real = {one: _refits(search.fitter, one, scoring.tried[one].fit, parts) for one in ((), names)}
+        real = {one: _refits(scoring.tried[one].fit, parts) for one in ((), names)}
         if all(real.values()):
             errors, is_refitted = {one: list(own) for one, own in real.items()}, True
             confirmed = {one: Score(np.log(own), 0) for one, own in errors.items()}
@@ -483,10 +482,10 @@ def _outcome(scoring: Scoring, choice: Choice) -> Correction:
     )  # fmt: skip
 
 
-def _refits(fitter: Fitter, names: Set, fit: Descended, parts: Sequence[Part]) -> list[float]:
+def _refits(fit: Descended, parts: Sequence[Part]) -> list[float]:
     """Errors of real refits, in the response's unit; none where one fails."""
     try:
-        found = refitted_errors(fitter, names, fit, parts)
+        found = refitted_errors(fit, parts)
     except (SimulationError, np.linalg.LinAlgError):
         return []
     return [math.sqrt(max(own.squares, 1e-300) / own.samples) for own in found]

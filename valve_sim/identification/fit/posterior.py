@@ -1,11 +1,11 @@
 """The posterior over what may be missing, and the verdict: functions of a table of evidence, and of nothing else.
 
-A hypothesis is a set E of effects and of wrong declared values, with a discrepancy without a name (δ) or without; or a
-smooth curve in place of it. The priors are these, and no other number decides (theory, section 7):
+A hypothesis is a set E of effects and of wrong declared values, with or without something unnamed beside it: a
+discrepancy of what is shown (δ), or a force. The priors are these, and no other number decides (theory, section 7):
 
     the form is as declared, 0.95:   how many effects act, and how many declared numbers without a tolerance are wrong,
                                      are Poisson numbers of mean 1 each; δ = 0
-    something unnamed acts, 0.05:    how many named things act beside it is even on 0 … 8; a discrepancy or one curve
+    something unnamed acts, 0.05:    how many named things act beside it is even on 0 … 8; a discrepancy or a force
 
 Sets of one size are equally probable. The posterior is the product of prior and evidence, normalised over all that was
 tried and what was left untried when the work was used up, which counts with the best evidence that was found.
@@ -17,6 +17,8 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
+
+import numpy as np
 
 from valve_sim.identification.plants.protocol import Plant
 
@@ -48,7 +50,7 @@ class Evidence(NamedTuple):
     """The evidence of one set.
 
     Attributes:
-        plain, unnamed: ln p(data | set) without and with a discrepancy.
+        plain, unnamed: ln p(data | set) without and with a discrepancy. forced: with a force that has no name.
         is_fitted: whether it was fitted; else it is a linear estimate, or the bound of what was left untried.
         is_untried: whether it is such a bound.
     """
@@ -57,6 +59,7 @@ class Evidence(NamedTuple):
     unnamed: float
     is_fitted: bool = True
     is_untried: bool = False
+    forced: float = -math.inf
 
 
 class Share(NamedTuple):
@@ -127,7 +130,7 @@ class Posterior:
     """Probabilities of all that was tried.
 
     Attributes:
-        shares: of each set. curves: of each smooth curve in place of a discrepancy.
+        shares: of each set.
         beside: of each set, given that a discrepancy acts beside it, by the training data alone: held-out data may say
             that something unnamed acts, not which set is better than another.
         fitted: the sets that were fitted: one of these leads. untried: those that speak for no name.
@@ -135,14 +138,13 @@ class Posterior:
 
     shares: Mapping[Set, Share]
     beside: Mapping[Set, float] = field(default_factory=dict)
-    curves: tuple[float, ...] = ()
     fitted: frozenset[Set] = field(default_factory=frozenset)
     untried: frozenset[Set] = field(default_factory=frozenset)
 
     @property
     def unnamed(self) -> float:
         """Probability that something without a name acts."""
-        return math.fsum(share.unnamed for share in self.shares.values()) + math.fsum(self.curves)
+        return math.fsum(share.unnamed for share in self.shares.values())
 
     @property
     def names(self) -> list[str]:
@@ -157,17 +159,13 @@ class Posterior:
 
 
 def posterior_of(
-    rivals: Rivals,
-    table: Mapping[Set, Evidence],
-    curves: Sequence[float] = (),
-    odds_of_unnamed: Mapping[Set, float] | None = None,
+    rivals: Rivals, table: Mapping[Set, Evidence], odds_of_unnamed: Mapping[Set, float] | None = None
 ) -> Posterior:
     """The posterior of a table of evidence.
 
     Args:
         rivals: what may be missing. table: of all that was tried, the empty set among it.
-        curves: ln p(data | curve) of smooth curves beside the declared model, the evidence of 0 … all of them even.
-        odds_of_unnamed: of some sets, ln of the factor by which held-out data raise the odds of a discrepancy.
+        odds_of_unnamed: of some sets, ln of the factor by which held-out data raise the odds of something unnamed.
     """
     logs: dict[Set, tuple[float, float]] = {}
     beside: dict[Set, float] = {}
@@ -175,21 +173,21 @@ def posterior_of(
         plain, unnamed = rivals.log_prior(names)
         raised = (odds_of_unnamed or {}).get(names, 0.0)
         beside[names] = unnamed + evidence.unnamed
-        logs[names] = plain + evidence.plain, beside[names] + raised
-    of_curve = rivals.log_prior(())[1] - math.log(max(1, len(curves)))
-    with_curves = [of_curve + evidence for evidence in curves]
-    most = max([*(max(pair) for pair in logs.values()), *with_curves])
-    total = math.fsum(math.exp(log - most) for log in [*(one for pair in logs.values() for one in pair), *with_curves])
-    shares = {
-        names: Share(math.exp(plain - most) / total, math.exp(unnamed - most) / total)
-        for names, (plain, unnamed) in logs.items()
-    }
-    most_beside = max(beside.values())
-    total_beside = math.fsum(math.exp(log - most_beside) for log in beside.values())
-    given = {names: math.exp(log - most_beside) / total_beside for names, log in beside.items()}
+        logs[names] = plain + evidence.plain, unnamed + float(np.logaddexp(evidence.unnamed, evidence.forced)) + raised
+    both = _normalised([one for pair in logs.values() for one in pair])
+    shares = {names: Share(*pair) for names, pair in zip(logs, zip(both[::2], both[1::2], strict=True), strict=True)}
+    given = dict(zip(beside, _normalised(list(beside.values())), strict=True))
     fitted = frozenset(names for names, evidence in table.items() if evidence.is_fitted)
     untried = frozenset(names for names, evidence in table.items() if evidence.is_untried)
-    return Posterior(shares, given, tuple(math.exp(log - most) / total for log in with_curves), fitted, untried)
+    return Posterior(shares, given, fitted, untried)
+
+
+def _normalised(logs: Sequence[float]) -> list[float]:
+    """Numbers in the ratio of e to these, that add up to 1."""
+    most = max(logs)
+    found = [math.exp(log - most) for log in logs]
+    total = math.fsum(found)
+    return [one / total for one in found]
 
 
 class Class(NamedTuple):
@@ -309,19 +307,18 @@ class Grounds:
     """All that a verdict follows from.
 
     Attributes:
-        rivals, table, curves, odds_of_unnamed: as of `posterior_of`. sizes: as of `decide`.
+        rivals, table, odds_of_unnamed: as of `posterior_of`. sizes: as of `decide`.
     """
 
     rivals: Rivals
     table: Mapping[Set, Evidence]
-    curves: tuple[float, ...]
     odds_of_unnamed: Mapping[Set, float]
     sizes: Mapping[str, int]
 
     @property
     def posterior(self) -> Posterior:
         """The posterior of the table."""
-        return posterior_of(self.rivals, self.table, self.curves, self.odds_of_unnamed)
+        return posterior_of(self.rivals, self.table, self.odds_of_unnamed)
 
     @property
     def decision(self) -> Decision:

@@ -10,7 +10,9 @@ from typing import Final
 import numpy as np
 
 from valve_sim.identification.fit.columns import Columns, columns_of, known_name
-from valve_sim.identification.fit.gaussian import Sizes
+from valve_sim.identification.fit.gaussian import Gaussian, Sizes
+from valve_sim.identification.fit.gram import gram
+from valve_sim.identification.fit.model import Sums
 from valve_sim.identification.fit.priors import Elsewhere
 from valve_sim.identification.fit.problem import Problem
 from valve_sim.identification.fit.result import Fit, fit
@@ -55,14 +57,31 @@ def sizes_like(result: Fit, columns: Columns) -> dict[str, float]:
     return {name: stays.get(known_name(own), usual[name]) for name, own in columns.groups.items()}
 
 
+def sizes_at_rest(gaussian: Gaussian) -> dict[str, float]:
+    """Sizes of drift and hum by the samples at rest alone, by name: in motion they would imitate what is missing."""
+    rests = ~gaussian.model.problem.rows.places.moves
+    groups = {name: own for name, (own, _) in gaussian.groups.items()}
+    names = {name for name, own in groups.items() if own.at_rest}
+    if not names or not len(gaussian.sums.moved) or not rests.any():
+        return {}
+    # Beside a hum its channel may drift: what is steady there may be the model's error.
+    keys = {groups[name].key for name in names}
+    beside = {name for name, own in groups.items() if own.error == "drift" and own.key in keys}
+    rows, sums = gaussian.sums.rows[rests], gaussian.sums
+    still = Sums(sums.moved, sums.fixed, gram(rows, rows), sums.constant)
+    read = Gaussian(gaussian.model, gaussian.z, still, gaussian.sizes).with_best_sizes({*names, *beside}).sizes
+    return {name: read[name] for name in names}
+
+
 def fit_recording(
     problem: Problem, machine: Mapping[str, float], sizes: Sizes | None = None, *, learns: bool = False
 ) -> Fit:
     """What a machine of known values shows of a recording, once the errors of the recording are estimated.
 
-    Errors of the commands' stamps are among them where the evidence is for it: most recorders stamp commands well, and
-    a few stamp them when they happen to receive them. A plunger that turns beside a contact touches it or does not, by
-    some microseconds of a stamp: where more than noise is left, the fit begins again from other stamps.
+    Drift and hum are as large as they are at rest. Errors of the commands' stamps are among them where the evidence is
+    for it: most recorders stamp commands well, and a few stamp them when they happen to receive them. A plunger that
+    turns beside a contact touches it or does not, by some microseconds of a stamp: where more than noise is left, the
+    fit begins again from other stamps.
 
     Args:
         problem: the recording. machine: values of the machine by name; what is missing is as declared.
@@ -75,17 +94,18 @@ def fit_recording(
     plant = problem.plant
     unknowns, columns = unknowns_of(plant), problem.columns
     clocks = [own for own in unknowns.known if not own.of_machine]
-    stamps = [replace(own, group=None) for own in unknowns.stamps]
-    errors = [*columns.varying, *columns.unknowns]
-    usual = dict(sizes or usual_sizes(columns.groups))
-    names = [name for name, own in columns.groups.items() if own.is_learned and (sizes is None or not own.stays)]
+    stamps, errors = unknowns.stamps, [*columns.varying, *columns.unknowns]
+    groups = {**columns.groups, **{own.group.name: own.group for own in stamps if own.group}}
+    usual = {**usual_sizes(groups), **(sizes or {})}
+    names = {name for name, own in groups.items() if own.is_learned and (sizes is None or not own.stays)}
 
     def fitted(which: Sequence[Unknown], start: Mapping[str, float]) -> Fit:
         """With the sizes of errors that suit it: those beside wrong stamps would be far too large."""
         own = usual
         best = fit(problem, [*clocks, *which, *errors], start, held=machine, sizes=own)
         for _ in range(ROUNDS if learns and names else 0):
-            suited = best.gaussian.with_best_sizes(names).sizes
+            read = sizes_at_rest(best.gaussian)
+            suited = best.gaussian.resized(read).with_best_sizes(names - read.keys()).sizes
             if max(abs(math.log(suited[name] / own[name])) for name in names) < HELD:
                 break
             own = dict(suited)

@@ -10,6 +10,7 @@
         stop where none is more probable than B, or where a smooth curve explains more than two names
         learn the errors again beside the best; where that explains more: fit again what may come near
     fit what is near the best again beside a process, where something unnamed may act
+    the force that has no name: beside what is near the best, and in place of all names
 
 Work is counted in simulated strokes, never by a clock, so that a busy machine finds what a quiet one does. What it
 would still have fitted when the work is used up is left in the table with the best evidence found.
@@ -24,6 +25,7 @@ from typing import Final
 
 import numpy as np
 
+from valve_sim.identification.fit import forces
 from valve_sim.identification.fit.budget import OutOfWorkError
 from valve_sim.identification.fit.descent import Descended
 from valve_sim.identification.fit.fitter import Fitter, Tried
@@ -43,6 +45,8 @@ REFITTED: Final = 10.0
 """Difference in ln p from the best, within which sets are fitted again beside a process."""
 RIVALS: Final = 5.0
 """Difference in ln p from the best set of a size, within which others are added to."""
+FORCED: Final = 3
+"""Sets that lead, beside which a force without a name is weighed."""
 MOST_RIVALS: Final = 4
 """Sets of a size that are added to, the best among them."""
 WORTH_LEARNING: Final = 1.0
@@ -66,7 +70,7 @@ class Search:
 
     Attributes:
         tried: by set. begun: sets that were given up. untried: sets that were due when the work was used up.
-        impossible: sets that cannot be simulated.
+        impossible: sets that cannot be simulated. forced: ln p of sets with a force that has no name.
     """
 
     def __init__(
@@ -81,6 +85,7 @@ class Search:
         self.screened: dict[Set, Evidence] = {}
         self.untried: list[Set] = []
         self.impossible: list[Set] = []
+        self.forced: dict[Set, float] = {}
 
     @property
     def problem(self) -> Problem:
@@ -96,7 +101,10 @@ class Search:
             raised: ln of the factor by which held-out data raise the odds of something unnamed.
         """
         begun = {names: one.evidence for names, one in self.begun.items()}
-        found = {**self.screened, **begun, **{names: one.evidence for names, one in self.tried.items()}}
+        tried = {
+            names: one.evidence._replace(forced=self.forced.get(names, -math.inf)) for names, one in self.tried.items()
+        }
+        found = {**self.screened, **begun, **tried}
         plain = max(one.plain for one in found.values())
         unnamed = max(one.unnamed for one in found.values()) + raised
         bound = {names: Evidence(plain, unnamed, is_fitted=False, is_untried=True) for names in self.untried}
@@ -145,6 +153,7 @@ class Search:
         """
         if () not in self.tried:
             self.fit_declared()
+        self.forced.clear()
         try:
             for size in range(LARGEST_SET):
                 base = self.best(size)
@@ -158,8 +167,24 @@ class Search:
                 for names in [names for names in self.tried if self.log_weight(names) > least]:
                     self._say(words(names), self._done)
                     self.tried[names] = self.fitter.beside(names, self.tried[names])
+            self._weigh_forces()
         except OutOfWorkError:
             return
+
+    def _weigh_forces(self) -> None:
+        """What the sets that lead are worth with a force that has no name, and such a force in place of all names."""
+        if not self.fitter.curves:
+            return
+        leading = sorted(self.tried, key=self.log_weight)[-FORCED:]
+        for names in leading:
+            self._say(f"{words(names)}, and a force without a name", self._done)
+            if forces.is_near(self.tried[names]):
+                self.forced[names] = forces.log_evidence_beside(self.fitter, self.tried[names])
+        if leading[-1] and self.curves:
+            # Far from the data a curve has to be fitted.
+            logs = [one.plain for one in self.curves.values()]
+            alone = float(np.logaddexp.reduce(logs)) - math.log(len(self.fitter.curves))
+            self.forced[()] = max(alone, self.forced.get((), -math.inf))
 
     def _extend(self, base: Set, *, is_full: bool) -> bool:
         """Add names to a set; whether to go on from there."""

@@ -128,7 +128,7 @@ class ForceMap:
         fixed: values that place them.
         low, high: the range of the variable, in `unit`; the curve is constant beyond.
         count: name of the value that says how many coefficients there are.
-        least: value that no coefficient may fall below.
+        least: value that no coefficient may fall below. ends: names of the values in `fixed` that are low and high.
     """
 
     variable: str
@@ -139,6 +139,7 @@ class ForceMap:
     unit: str
     count: str
     least: float = -math.inf
+    ends: tuple[str, ...] = ()
 
     @property
     def free(self) -> tuple[str, ...]:

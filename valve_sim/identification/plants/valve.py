@@ -433,4 +433,5 @@ def force_map_over(variable: str, low: float, high: float, unit: str) -> ForceMa
     }
     names = tuple(f"force_map.{name}" for name in FORCE_MAP_COEFFICIENTS)
     least = 0.0 if is_damping(variable) else -math.inf
-    return ForceMap(variable, names, fixed, low, high, unit, "force_map.count", least)
+    ends = ("force_map.low", "force_map.high")
+    return ForceMap(variable, names, fixed, low, high, unit, "force_map.count", least, ends)
