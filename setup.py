@@ -68,6 +68,7 @@ CHECKS = [
     "mypy",
     "numba>=0.58",  # of the independent plants of the tests
     "pytest",
+    "pytest-timeout",
     "pytest-xdist",
     "ruff",
     "scipy-stubs",
