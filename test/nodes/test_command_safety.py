@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from valve_sim.files.parameter_files import default_valve
-from valve_sim.model import Drive, Reading, SimulationError, Stepper, simulate
+from valve_sim.model import Drive, SimulationError, Stepper, simulate
 from valve_sim.nodes.live_machine import Step
 from valve_sim.nodes.live_valve import LiveValve
 from valve_sim.nodes.realtime import NANOSECONDS, ClockReading, Restart, Worker
@@ -34,7 +34,7 @@ class Bench:
     def __init__(self) -> None:
         self.live = LiveValve(default_valve(), command_timeout=TIMEOUT, max_voltage=LARGEST)
         self.reading: ClockReading | None = ClockReading(1000 * NANOSECONDS, True)
-        self.steps: list[Step[Reading]] = []
+        self.steps: list[Step] = []
         self.errors: list[Exception] = []
         self.failing: list[str] = []
         self._script: list[Callable[[], object]] = []

@@ -4,58 +4,21 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import Any, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, TypeVar
 
 from valve_sim.model import CoilReading, SimulationError
 from valve_sim.nodes.realtime import NANOSECONDS, TimedQueue
 
-
-class Shown(Protocol):
-    """What the topics show of either machine at one time: m, m/s, N, A, V; NaN is what it does not show."""
-
-    @property
-    def pilot_position(self) -> float:
-        """Of the only plunger, too."""
-
-    @property
-    def main_position(self) -> float:
-        """Of the main plunger."""
-
-    @property
-    def pilot_velocity(self) -> float:
-        """Of the pilot plunger."""
-
-    @property
-    def main_velocity(self) -> float:
-        """Of the main plunger."""
-
-    @property
-    def attraction(self) -> float:
-        """The force on the pilot plunger."""
-
-    @property
-    def main_effort(self) -> float:
-        """The force on the main plunger."""
-
-    @property
-    def coil_current(self) -> float:
-        """At the coil's terminals."""
-
-    @property
-    def coil_voltage(self) -> float:
-        """At the coil's terminals."""
-
-    @property
-    def phase(self) -> int:
-        """The phase, or the number of the mode."""
+if TYPE_CHECKING:
+    from valve_sim.model import Reading
+    from valve_sim.model.machine_stepper import MachineReading
 
 
 S = TypeVar("S", bound="Steps[Any]")
-R = TypeVar("R", bound=Shown)
-R_co = TypeVar("R_co", bound=Shown, covariant=True)
+R = TypeVar("R", bound="Reading | MachineReading")
+R_co = TypeVar("R_co", bound="Reading | MachineReading", covariant=True)
 
 
 class Steps(Protocol[R_co]):
@@ -107,13 +70,12 @@ class Timeline:
         self._stamp += nanoseconds
 
 
-@dataclass(frozen=True)
-class Step(Generic[R]):
+class Step(NamedTuple):
     """Result of one step.
 
     Attributes:
         stamp: of the reading, ns.
-        reading: the machine.
+        reading: the machine, a `Reading` of a valve or else a `MachineReading`.
         phases: the phases entered since the step before, in order; a brief one is not left out.
         failure: why the machine was put back to rest; empty if it was not.
         switches: the coil just before and just after each change of its voltage since the step before, with stamps,
@@ -123,7 +85,7 @@ class Step(Generic[R]):
     """
 
     stamp: int
-    reading: R
+    reading: Any
     phases: tuple[int, ...]
     failure: str
     switches: tuple[tuple[int, CoilReading], ...] = ()
@@ -165,7 +127,7 @@ class LiveMachine(ABC, Generic[S, R]):
         """The machine at rest at model time 0, without voltage."""
 
     @abstractmethod
-    def _entered(self, reading: R) -> Iterable[int]:
+    def _entered(self, reading: R) -> Sequence[int]:
         """The phases that began since the reading before; what else happened is noted."""
 
     @abstractmethod
@@ -220,7 +182,7 @@ class LiveMachine(ABC, Generic[S, R]):
         self._timeline.shift_stamps(nanoseconds)
         self._stamp += nanoseconds
 
-    def step(self, clock: int) -> Step[R]:
+    def step(self, clock: int) -> Step:
         """Advance to clock time `clock`, ns. The state does not depend on how often this is called."""
         failure, self._switches, self._obeyed, self._switched_off = "", [], [], ""
         stepper = self._running
@@ -239,7 +201,10 @@ class LiveMachine(ABC, Generic[S, R]):
         self._reached = clock
         self._stamp = stamp
         self.phase = reading.phase
-        phases = self._phases_to_announce(self._entered(reading), reading.phase)
+        entered = self._entered(reading)
+        phases: tuple[int, ...] = ()
+        if entered or self.phase != self._announced:
+            phases = self._phases_to_announce(entered, self.phase)
         switches = tuple(switch for switch in self._switches if switch[0] < self._stamp) if self._switches else ()
         return Step(self._stamp, reading, phases, failure, switches, tuple(self._obeyed), self._switched_off)
 
@@ -295,7 +260,7 @@ class LiveMachine(ABC, Generic[S, R]):
         self.last_command = None
         self.timed_out, self.withdrawn = False, 0.0
 
-    def _phases_to_announce(self, entered: Iterable[int], present: int) -> tuple[int, ...]:
+    def _phases_to_announce(self, entered: Sequence[int], present: int) -> tuple[int, ...]:
         announced: list[int] = []
         for phase in (*entered, present):
             if phase != (announced[-1] if announced else self._announced):

@@ -37,9 +37,11 @@ BETWEEN_WARNINGS: Final = 5.0
 BETWEEN_REMINDERS: Final = 60.0
 """s between lines of the log about a machine that is too busy."""
 L = TypeVar("L", bound=LiveMachine[Any, Any])
+M = TypeVar("M")
+"""What is simulated: a valve, or the numbers of a machine of a file."""
 
 
-class MachineNode(RosNode[ValveSettings], ABC, Generic[L]):
+class MachineNode(RosNode[ValveSettings], ABC, Generic[M, L]):
     """The node `valve`, with some of the topics and services `topics.VALVE`: what its machine shows.
 
     Args:
@@ -76,7 +78,7 @@ class MachineNode(RosNode[ValveSettings], ABC, Generic[L]):
         self._is_ready = False
         self._was_waiting = True
         self._messages = ReadingMessages(self._settings.frame_id, joints)
-        self._samples: list[tuple[Publisher, Callable[[Step[Any]], None]]] = []
+        self._samples: list[tuple[Publisher, Callable[[Publisher, Step], None]]] = []
         self._wire(has_positions=bool(joints), shows_current=shows_current)
         self._phase = self._interface.publisher("~/phase") if shows_phase else None
         self._worker = Worker(
@@ -97,11 +99,11 @@ class MachineNode(RosNode[ValveSettings], ABC, Generic[L]):
     # --- what is of one machine ---
 
     @abstractmethod
-    def _made(self, machine: Any, **options: float) -> L:
+    def _made(self, machine: M, **options: float) -> L:
         """The live machine; `options` as of a `LiveMachine`."""
 
     @abstractmethod
-    def _machine_of(self, values: Mapping[str, Value]) -> Any:
+    def _machine_of(self, values: Mapping[str, Value]) -> M:
         """What the values of the table describe.
 
         Raises:
@@ -109,7 +111,7 @@ class MachineNode(RosNode[ValveSettings], ABC, Generic[L]):
         """
 
     @abstractmethod
-    def _go_on_as(self, now: int, machine: Any) -> None:
+    def _go_on_as(self, now: int, machine: M) -> None:
         """Have the live machine be another from a time on, ns."""
 
     @abstractmethod
@@ -128,10 +130,10 @@ class MachineNode(RosNode[ValveSettings], ABC, Generic[L]):
         """What is published whenever it changes."""
         return [] if self._phase is None else [self._phase]
 
-    def _publish_more(self, deadline: int, step: Step[Any]) -> None:
+    def _publish_more(self, deadline: int, step: Step) -> None:
         """Publish what only this machine shows of a step."""
 
-    def _publish_phases(self, step: Step[Any]) -> None:
+    def _publish_phases(self, step: Step) -> None:
         if self._phase is not None:
             for phase in step.phases:
                 self._phase.publish(PHASE[phase])
@@ -152,8 +154,7 @@ class MachineNode(RosNode[ValveSettings], ABC, Generic[L]):
         interface = self._interface
         if has_positions:
             self._samples.append((interface.publisher("~/joint_states"), self._publish_joint_states))
-        self._coil = interface.publisher("~/coil")
-        self._samples.append((self._coil, self._publish_coil))
+        self._samples.append((interface.publisher("~/coil"), self._publish_coil))
         if shows_current:
             self._samples.append((interface.publisher("~/coil_current"), self._publish_current))
         self._subscribers = SubscriberCounts(*(publisher.get_subscription_count for publisher, _ in self._samples))
@@ -204,9 +205,9 @@ class MachineNode(RosNode[ValveSettings], ABC, Generic[L]):
         self._follow_system_clock()
         self._inbox.deliver()
         step = self._live.step(deadline)
-        for is_heard, (_, publish) in zip(self._subscribers.look(deadline), self._samples, strict=True):
+        for is_heard, (publisher, publish) in zip(self._subscribers.look(deadline), self._samples, strict=True):
             if is_heard:
-                publish(step)
+                publish(publisher, step)
         self._publish_more(deadline, step)
         if step.phases:
             self._publish_phases(step)
@@ -225,16 +226,16 @@ class MachineNode(RosNode[ValveSettings], ABC, Generic[L]):
         else:
             self._node.get_logger().warning(words)
 
-    def _publish_joint_states(self, step: Step[Any]) -> None:
-        self._samples[0][0].publish(self._messages.joint_states(step.stamp, step.reading))
+    def _publish_joint_states(self, publisher: Publisher, step: Step) -> None:
+        publisher.publish(self._messages.joint_states(step.stamp, step.reading))
 
-    def _publish_coil(self, step: Step[Any]) -> None:
+    def _publish_coil(self, publisher: Publisher, step: Step) -> None:
         for stamp, coil in step.switches:
-            self._coil.publish(self._messages.coil(stamp, coil.current, coil.voltage))
-        self._coil.publish(self._messages.coil(step.stamp, step.reading.coil_current, step.reading.coil_voltage))
+            publisher.publish(self._messages.coil(stamp, coil.current, coil.voltage))
+        publisher.publish(self._messages.coil(step.stamp, step.reading.coil_current, step.reading.coil_voltage))
 
-    def _publish_current(self, step: Step[Any]) -> None:
-        self._samples[-1][0].publish(self._messages.number(step.reading.coil_current))
+    def _publish_current(self, publisher: Publisher, step: Step) -> None:
+        publisher.publish(self._messages.number(step.reading.coil_current))
 
     def _expected_voltage(self) -> str:
         return f"a number within ±{self._settings.max_voltage:g} V (parameter max_voltage)"

@@ -12,7 +12,7 @@ from valve_sim.nodes.valve_parameters import ValveSettings
 from valve_sim.nodes.wiring import make_node
 
 
-def valve_node(sections: Sequence[tuple[str, Section]]) -> MachineNode[Any]:
+def valve_node(sections: Sequence[tuple[str, Section]]) -> MachineNode[Any, Any]:
     """The node with the valve, or, where the parameter `plant` is given, with the machine of that file.
 
     Raises:

@@ -6,7 +6,7 @@ import array
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from operator import attrgetter
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -17,8 +17,11 @@ from valve_sim.model import Phase
 from valve_sim.model.core.hybrid.layout import MOST_MODES
 from valve_sim.nodes.diagnostics import Status
 from valve_sim.nodes.heard import UnusableMessageError
-from valve_sim.nodes.live_machine import Shown
 from valve_sim.nodes.realtime import LAST_STAMP, NANOSECONDS
+
+if TYPE_CHECKING:
+    from valve_sim.model import Reading
+    from valve_sim.model.machine_stepper import MachineReading
 
 JOINT_NAMES: Final = ("pilot_plunger", "main_plunger")
 _JOINTS: Final[Mapping[str, attrgetter[tuple[float, float, float]]]] = dict(
@@ -58,7 +61,7 @@ class ReadingMessages:
         """Set the frame of joint states, coil and pressures."""
         self._header.frame_id = frame_id
 
-    def joint_states(self, stamp: int, reading: Shown) -> JointState:
+    def joint_states(self, stamp: int, reading: Reading | MachineReading) -> JointState:
         """Positions m, velocities m/s, efforts N; `stamp` in ns, LAST_STAMP at most."""
         self._date(stamp)
         for place, read in enumerate(self._read):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 from collections.abc import Mapping, Sequence
 from typing import Final
 
@@ -13,11 +12,12 @@ from valve_sim.nodes.live_plant import PREFIX, LivePlant, NodePlant, PlantParame
 from valve_sim.nodes.machine import MachineNode
 from valve_sim.nodes.messages import JOINT_NAMES
 from valve_sim.nodes.parameters import Value
+from valve_sim.nodes.threads import keep_loaded
 
 _JOINTS: Final = dict(zip(("position", "main_position"), JOINT_NAMES, strict=True))
 
 
-class PlantNode(MachineNode[LivePlant]):
+class PlantNode(MachineNode[Mapping[str, float], LivePlant]):
     """The node `valve`, with the topics and services `topics.VALVE` that show a machine of a plant file.
 
     Parameters: `live_plant.PlantParameters`; all but `plant` can be set at run time.
@@ -48,8 +48,7 @@ class PlantNode(MachineNode[LivePlant]):
         self._live.set_numbers(now, machine)
 
     def _prepare(self) -> None:
-        # What is loaded now stays; collecting it as garbage would stop the thread that steps for tens of milliseconds.
-        gc.freeze()
+        keep_loaded()  # it was compiled when its file was read
 
     def _self_test(self) -> tuple[bool, str]:
         return False, f"a self-test is of the valve; the machine of {self._plant.file.path} has none"

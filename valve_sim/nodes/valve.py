@@ -12,7 +12,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 
 from valve_sim.files.parameter_sections import Section
-from valve_sim.model import ParameterError, Phase, Reading, Valve
+from valve_sim.model import ParameterError, Phase, Valve
 from valve_sim.model.gas import GAS
 from valve_sim.nodes import topics
 from valve_sim.nodes.diagnostics import Status, pressure_status
@@ -32,7 +32,7 @@ _RATE: Final = 100.0
 """Hz of pressure and flow: slower than the plungers, and read by slower programs."""
 
 
-class ValveNode(MachineNode[LiveValve]):
+class ValveNode(MachineNode[Valve, LiveValve]):
     """The node `valve`, with the topics and services `topics.VALVE`, and `topics.GAS` from when gas is declared.
 
     Parameters: `valve_parameters.ValveSettings`; all but `plant` can be set at run time.
@@ -74,11 +74,11 @@ class ValveNode(MachineNode[LiveValve]):
     def _on_change(self) -> list[Publisher]:
         return [*super()._on_change(), self._is_open]
 
-    def _publish_more(self, deadline: int, step: Step[Any]) -> None:
+    def _publish_more(self, deadline: int, step: Step) -> None:
         if self._gas is not None:
             self._gas.publish(deadline, step)
 
-    def _publish_phases(self, step: Step[Any]) -> None:
+    def _publish_phases(self, step: Step) -> None:
         super()._publish_phases(step)
         for phase in step.phases:
             if (is_open := phase == Phase.OPEN) is not self._said_open:
@@ -147,7 +147,7 @@ class GasTopics:
             f"{self._mass_flow.topic_name} at {_RATE:g} Hz"
         )
 
-    def publish(self, deadline: int, step: Step[Reading]) -> None:
+    def publish(self, deadline: int, step: Step) -> None:
         """Publish the pressures obeyed since the last step, and this one if it is one of the slower samples.
 
         In the stepping thread.
