@@ -159,10 +159,12 @@ def _node_parameters() -> Iterator[str]:
     yield "## valve_node"
     yield (
         "SI units. Names under `valve.` and `gas.` are also keys of a parameter file, and so are those of "
-        "[effects](effects.md), which are parameters too: `effects.<effect>.<parameter>`. All can be set at run time. "
-        "A tolerance of 0 means exact. Where anything of a valve is given, a tolerance that is not given is 0, but for "
-        "those of the sensor. Effects and gas have tolerances, too: `tolerances.effects.<effect>.<parameter>` and "
-        "`tolerances.gas.<name>`. [How well your numbers are known](../how_to/tolerances.md)."
+        "[effects](effects.md), which are parameters too: `effects.<effect>.<parameter>`. All but `plant` can be set "
+        "at run time. With `plant` those of the valve give way to `parameters.<name>`, those of "
+        "[your own machine](../how_to/your_own_machine.md#live). A tolerance of 0 means exact. Where anything of a "
+        "valve is given, a tolerance that is not given is 0, but for those of the sensor. Effects and gas have "
+        "tolerances, too: `tolerances.effects.<effect>.<parameter>` and `tolerances.gas.<name>`. "
+        "[How well your numbers are known](../how_to/tolerances.md)."
     )
     elsewhere = ("effects.", "tolerances.effects.", "tolerances.gas.")
     yield _parameters({name: e for name, e in ValveSettings.table().items() if not name.startswith(elsewhere)})

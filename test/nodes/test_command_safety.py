@@ -17,7 +17,8 @@ import pytest
 
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.model import Drive, SimulationError, Stepper, simulate
-from valve_sim.nodes.live_valve import LiveValve, Step
+from valve_sim.nodes.live_machine import Step
+from valve_sim.nodes.live_valve import LiveValve
 from valve_sim.nodes.realtime import NANOSECONDS, ClockReading, Restart, Worker
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "command_safety.md"

@@ -11,8 +11,9 @@ import pytest
 
 from valve_sim.files.parameter_files import default_valve, load_valve
 from valve_sim.files.resources import config_path
-from valve_sim.model import Drive, Phase, SimulationError, Stepper, Valve, simulate
-from valve_sim.nodes.live_valve import LiveValve, Step, self_test
+from valve_sim.model import Drive, Phase, Reading, SimulationError, Stepper, Valve, simulate
+from valve_sim.nodes.live_machine import Step
+from valve_sim.nodes.live_valve import LiveValve, self_test
 from valve_sim.nodes.realtime import NANOSECONDS
 
 START = 1_700_000_000 * NANOSECONDS
@@ -26,7 +27,7 @@ def started(**options: float) -> LiveValve:
     return live
 
 
-def run(live: LiveValve, milliseconds: list[float]) -> list[Step]:
+def run(live: LiveValve, milliseconds: list[float]) -> list[Step[Reading]]:
     return [live.step(START + round(time * MILLISECOND)) for time in milliseconds]
 
 

@@ -24,6 +24,10 @@ pytestmark = pytest.mark.ros
 
 NO_BAG = Path(__file__)
 """A file that is no recording."""
+OWN, PLUNGER = (
+    Path(__file__).parents[2] / "docs" / "examples" / "own_plants" / name
+    for name in ("single_plunger.yaml", "plunger.yaml")
+)
 
 
 @pytest.fixture
@@ -87,6 +91,19 @@ def test_a_bad_file_of_a_valve(here: None, capfd: pytest.CaptureFixture[str], tm
         ("valve_node", "--params-file none.yaml", "valve_node: none.yaml: cannot be read"),
         ("valve_node", "-p frame_id:=[]", "gives a name without a value"),
         ("valve_node", "-p tolerances:=x", "tolerances: found .x. under an unknown name"),
+        ("valve_node", "-p plant:=nowhere.yaml", "valve_node: nowhere.yaml: cannot be read"),
+        (
+            "valve_node",
+            f"-p plant:={PLUNGER}",
+            r"plunger.yaml: inputs.voltage: is missing; .* voltage at its coil, in V",
+        ),
+        (
+            "valve_node",
+            f"-p plant:={OWN} -p effects.stiction.force:=0.1",
+            "stiction.force: is of the valve, which plant:=",
+        ),
+        ("valve_node", f"-p plant:={OWN} -p parameters.strok:=0.1", "did you mean parameters.stroke"),
+        ("monitor_node", f"-p plant:={OWN}", "command line: plant: found .* a monitor watches valves, take it out"),
         ("valve_node", "--nonsense", "valve_node: ROS 2 refused to start: .*--nonsense"),
         ("identification_node", "", "bag: not given"),
         ("monitor_node", "-p commissioning_strokes:=20.5", "a whole number"),

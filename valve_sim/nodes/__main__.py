@@ -9,7 +9,7 @@ from valve_sim.nodes.starting import Program, chosen
 
 valve_node: Final = Program(
     "valve_node",
-    "valve_sim.nodes.valve:ValveNode",
+    "valve_sim.nodes.machines:valve_node",
     """
     valve_node simulates a valve in real time on ROS 2 topics.
 
@@ -23,8 +23,12 @@ valve_node: Final = Program(
 
         valve_node --ros-args --params-file config/published.yaml \\
             -p publish_rate:=500.0
+
+    A machine of your own, from a plant file:
+
+        valve_node --ros-args -p plant:=mine.yaml
 """,
-    "docs/tutorials/first_correction.md, docs/reference/topics.md",
+    "docs/tutorials/first_correction.md, docs/how_to/your_own_machine.md, docs/reference/topics.md",
 )
 identification_node: Final = Program(
     "identification_node",

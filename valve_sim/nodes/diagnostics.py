@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import enum
 import math
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
-from valve_sim.nodes.live_valve import LiveValve
+from valve_sim.nodes.live_machine import LiveMachine
 from valve_sim.nodes.realtime import NANOSECONDS, Timing
 
 SLOWEST_ACCEPTED: Final = 0.95
@@ -90,7 +90,9 @@ class RejectionCount:
         return ""
 
 
-def command_status(live: LiveValve, now: int, count: RejectionCount, incompatible_publishers: int) -> Status:
+def command_status(
+    live: LiveMachine[Any, Any], now: int, count: RejectionCount, incompatible_publishers: int
+) -> Status:
     """Whether commands arrive and are accepted; `now`, ns, of the clock of the valve."""
     age = math.nan if live.last_command is None else (now - live.last_command) / NANOSECONDS
     values = {
@@ -123,16 +125,12 @@ def _status(task: str, trouble: str, otherwise: str, values: dict[str, str]) -> 
     return Status(task, Level.WARN if trouble else Level.OK, trouble or otherwise, values)
 
 
-def valve_status(live: LiveValve, failure: str) -> Status:
+def valve_status(live: LiveMachine[Any, Any], failure: str) -> Status:
     """The phase of the valve, and why it was put back to rest last (`failure`, empty if it never was)."""
-    values = {
-        "phase": live.phase.name.lower(),
-        "strokes": str(live.strokes),
-        "failures": str(live.failures),
-    }
+    values = {**live.facts(), "failures": str(live.failures)}
     if failure:
         return Status("valve", Level.ERROR, f"was put back to rest: {failure}", values)
-    return Status("valve", Level.OK, live.phase.name.lower(), values)
+    return Status("valve", Level.OK, values.get("phase", "runs"), values)
 
 
 def unheard_words(publishers: int) -> str:

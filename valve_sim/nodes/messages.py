@@ -4,20 +4,37 @@ from __future__ import annotations
 
 import array
 import math
-from collections.abc import Iterable
-from typing import Any, Final
+from collections.abc import Iterable, Mapping, Sequence
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any, Final
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from sensor_msgs.msg import BatteryState, FluidPressure, JointState
 from std_msgs.msg import Bool, Float64, Header, UInt8
 
-from valve_sim.model import Phase, Reading
+from valve_sim.model import Phase
+from valve_sim.model.core.hybrid.layout import MOST_MODES
 from valve_sim.nodes.diagnostics import Status
 from valve_sim.nodes.heard import UnusableMessageError
 from valve_sim.nodes.realtime import LAST_STAMP, NANOSECONDS
 
+if TYPE_CHECKING:
+    from valve_sim.model import Reading
+    from valve_sim.model.machine_stepper import MachineReading
+
 JOINT_NAMES: Final = ("pilot_plunger", "main_plunger")
+_JOINTS: Final[Mapping[str, attrgetter[tuple[float, float, float]]]] = dict(
+    zip(
+        JOINT_NAMES,
+        (
+            attrgetter("pilot_position", "pilot_velocity", "attraction"),
+            attrgetter("main_position", "main_velocity", "main_effort"),
+        ),
+        strict=True,
+    )
+)
+"""What of a reading is the position, velocity and effort of a joint."""
 _LARGEST_SINGLE: Final = 3e38
 
 
@@ -25,17 +42,17 @@ class ReadingMessages:
     """The messages of each sample. Each is made once and filled anew: publish one before you ask for the next.
 
     Args:
-        frame_id: of joint states, coil and pressures; may be set anew.
+        frame_id: of joint states, coil and pressures; may be set anew. joints: names of the joints, of `JOINT_NAMES`.
     """
 
-    def __init__(self, frame_id: str) -> None:
+    def __init__(self, frame_id: str, joints: Sequence[str] = JOINT_NAMES) -> None:
         self._header = Header(frame_id=frame_id)
         self._number = Float64()
-        zeros = (0.0, 0.0)
-        self._joints = joints = JointState(header=self._header, name=list(JOINT_NAMES))
-        joints.position, joints.velocity, joints.effort = (array.array("d", zeros) for _ in range(3))
+        zeros, self._read = (0.0,) * len(joints), [_JOINTS[name] for name in joints]
+        self._joints = message = JointState(header=self._header, name=list(joints))
+        message.position, message.velocity, message.effort = (array.array("d", zeros) for _ in range(3))
         # What a message holds may be a copy of what it was given.
-        self._position, self._velocity, self._effort = joints.position, joints.velocity, joints.effort
+        self._position, self._velocity, self._effort = message.position, message.velocity, message.effort
         self._coil = blank_battery()
         self._coil.header, self._coil.present = self._header, True
         self._pressure = FluidPressure(header=self._header)
@@ -44,12 +61,11 @@ class ReadingMessages:
         """Set the frame of joint states, coil and pressures."""
         self._header.frame_id = frame_id
 
-    def joint_states(self, stamp: int, reading: Reading) -> JointState:
+    def joint_states(self, stamp: int, reading: Reading | MachineReading) -> JointState:
         """Positions m, velocities m/s, efforts N; `stamp` in ns, LAST_STAMP at most."""
         self._date(stamp)
-        self._position[0], self._position[1] = reading.pilot_position, reading.main_position
-        self._velocity[0], self._velocity[1] = reading.pilot_velocity, reading.main_velocity
-        self._effort[0], self._effort[1] = reading.attraction, reading.main_effort
+        for place, read in enumerate(self._read):
+            self._position[place], self._velocity[place], self._effort[place] = read(reading)
         return self._joints
 
     def coil(self, stamp: int, current: float, voltage: float) -> BatteryState:
@@ -84,8 +100,8 @@ def _single(number: float) -> float:
     return number if abs(number) < _LARGEST_SINGLE or math.isnan(number) else math.copysign(math.inf, number)
 
 
-PHASE: Final = {phase: UInt8(data=int(phase)) for phase in Phase}
-"""~/phase."""
+PHASE: Final = [UInt8(data=number) for number in range(MOST_MODES)]
+"""~/phase: the number of a phase, or of a mode."""
 IS_OPEN: Final = {phase: Bool(data=phase is Phase.OPEN) for phase in Phase}
 """~/is_open: the flow path is fully open."""
 

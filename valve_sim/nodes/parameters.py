@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
-from typing import Any, ClassVar, Final, NamedTuple, TypeVar
+from typing import Any, ClassVar, Final, NamedTuple, Protocol, TypeVar
 
 from valve_sim.files.entries import short
 from valve_sim.files.parameter_files import check_with_off, off_value
@@ -192,6 +192,22 @@ class NodeSettings:
             ParameterError: they do not fit each other.
         """
         return self
+
+
+S_co = TypeVar("S_co", covariant=True)
+
+
+class Declares(Protocol[S_co]):
+    """The parameters of a node as they are declared: the class of its settings, or what else has these."""
+
+    def table(self) -> dict[str, NodeParameter]:
+        """Every parameter, by name."""
+
+    def values(self, given: Mapping[str, object], sources: Mapping[str, str]) -> dict[str, Value]:
+        """The values at the start; arguments and errors as of `check_given`."""
+
+    def of(self, values: Mapping[str, Value]) -> S_co:
+        """The node's settings among them."""
 
 
 def _row_of(

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
+from valve_sim.files.entries import short
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.identify import check_free
 from valve_sim.identification.monitoring.settings import MonitorSettings
@@ -120,6 +121,9 @@ class MonitorNodeSettings(NodeSettings):
 
         One parameter file may serve valve_node and its monitor: the settings of the former are passed over.
         """
+        if given.get("plant"):
+            where = f"{sources.get('plant', 'command line')}: plant"
+            raise ParameterError(f"{where}: found {short(given['plant'])}; a monitor watches valves, take it out")
         own = {name: value for name, value in given.items() if name in cls.rows() or name not in ValveSettings.rows()}
         return check_with_valve(own, cls.table(), sources, cls.program)
 

@@ -96,5 +96,9 @@ def load_stepper(valve: Valve) -> None:
         stepper.supply(2e-3, valve.gas.inlet_pressure)
         stepper.set_demand_pressure(2e-3, valve.gas.demand_pressure)
     stepper.advance(3e-3)
-    # What is loaded now stays; collecting it as garbage would stop the thread that steps for tens of milliseconds.
+    keep_loaded()
+
+
+def keep_loaded() -> None:
+    """Let what is loaded stay; collecting it as garbage would stop the thread that steps for tens of milliseconds."""
     gc.freeze()

@@ -40,6 +40,7 @@ class ValveSettings(NodeSettings):
         30.0, "commands beyond it, either sign, are ignored and counted", "V", 0, 1e4, read_only=False
     )
     frame_id: str = option("", "header.frame_id of the joint states", read_only=False)
+    plant: str = option("", "plant file of a machine of your own, in place of the valve; empty: the valve")
 
     @classmethod
     def table(cls) -> dict[str, NodeParameter]:

@@ -30,7 +30,7 @@ from valve_sim.model import ParameterError
 from valve_sim.nodes.diagnostics import Status
 from valve_sim.nodes.messages import diagnostic_array
 from valve_sim.nodes.node_clock import NodeClock
-from valve_sim.nodes.parameters import NodeParameter, NodeSettings, S, Value, files_for_others, is_of_ros, sources_of
+from valve_sim.nodes.parameters import Declares, NodeParameter, S, Value, files_for_others, is_of_ros, sources_of
 from valve_sim.nodes.receiving import Inbox, Source, Take
 from valve_sim.nodes.spinning import every, guarded, spin, wait_until_heard
 from valve_sim.nodes.threads import Fail, StoppableThread, StopRequest
@@ -52,7 +52,7 @@ def make_node(name: str) -> Node:
         ) from error
 
 
-def declared(node: Node, sections: Sequence[tuple[str, Section]], settings: type[NodeSettings]) -> Mapping[str, Value]:
+def declared(node: Node, sections: Sequence[tuple[str, Section]], settings: Declares[object]) -> Mapping[str, Value]:
     """The values of a node's parameters at the start; all of its table are declared with them.
 
     A file that holds nothing for this node is warned about. rclpy passes over a misspelt name without a word;
@@ -177,9 +177,9 @@ class RosNode(Generic[S]):
     """
 
     def __init__(
-        self, name: str, sections: Sequence[tuple[str, Section]], settings: type[S], topics: Sequence[Topic]
+        self, node: str | Node, sections: Sequence[tuple[str, Section]], settings: Declares[S], topics: Sequence[Topic]
     ) -> None:
-        self._node = make_node(name)
+        self._node = make_node(node) if isinstance(node, str) else node
         self._clock = NodeClock(self._node)
         self._initial_values = declared(self._node, sections, settings)
         self._settings: S = settings.of(self._initial_values)
@@ -273,7 +273,7 @@ class CommandingNode(RosNode[S]):
     """
 
     def __init__(
-        self, name: str, sections: Sequence[tuple[str, Section]], settings: type[S], topics: Sequence[Topic]
+        self, name: str, sections: Sequence[tuple[str, Section]], settings: Declares[S], topics: Sequence[Topic]
     ) -> None:
         super().__init__(name, sections, settings, topics)
         self._voltages: list[Publisher] = []

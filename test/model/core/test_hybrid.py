@@ -388,10 +388,10 @@ def test_a_run_that_is_cut_anywhere_is_the_same_run_to_the_bit(text: str, comman
     events, changes = [], list(zip(commands.times, commands.levels, strict=True))[1:]
     for look, row in zip(looks, whole.outputs, strict=True):
         while changes and changes[0][0] <= look:
-            events += live.change(*changes.pop(0))[1]
-        shown, told = live.advance(look)
-        events += told
-        assert np.array_equal(shown, row)
+            events += live.change(*changes.pop(0)).events
+        piece = live.advance(look)
+        events += piece.events
+        assert np.array_equal(piece.outputs, row)
     assert events == [event for event in whole.events if event.time <= looks[-1]]
 
 

@@ -168,12 +168,24 @@ class Stepped:
     Args:
         compiled: without directions. states, numbers, changes, tolerance: as of `Compiled.run`; the first of the
             changes alone is taken.
+
+    Attributes:
+        begun: the piece that has no length, at the start.
     """
 
     def __init__(self, compiled: Compiled, states: Array, numbers: Array, changes: Changes, tolerance: float) -> None:
         self._room, self._row = _Room(0, LIVE_EVENTS), np.empty((1, compiled.outputs))
         compiled.begin(self._room.block, states, numbers, changes, tolerance)
-        self.advance(float(changes.rows[0, 0]), changes)
+        self.begun = self.advance(float(changes.rows[0, 0]), changes)
+
+    @property
+    def modes(self) -> list[int]:
+        """Of each region the number of the mode in force; further regions have 0."""
+        return [int(number) for number in self._room.block[at.MODE : at.MODE + at.MOST_REGIONS]]
+
+    def renumber(self, numbers: Array) -> None:
+        """Give the parameters other values; `advance` comes before and after, with a change at that time."""
+        self._room.block[at.NUMBERS : at.NUMBERS + len(numbers)] = numbers
 
     def advance(self, time: float, changes: Changes = NO_CHANGES) -> Run:
         """Run on to a time, s, with changes of the inputs on the way; outputs are those of that time, (1, outputs)."""

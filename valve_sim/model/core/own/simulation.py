@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 
 from valve_sim.model.core.hybrid import driver
 from valve_sim.model.core.hybrid.compiled import TOLERANCE, Array, Changes, Compiled, Run, Stepped
+from valve_sim.model.core.hybrid.description import Case
 from valve_sim.model.core.hybrid.system import System
 from valve_sim.model.core.own.equations import Equations
+from valve_sim.model.core.own.grammar import Expr
 from valve_sim.model.errors import SimulationError
 
 STEPS_EACH: Final = 200
@@ -114,7 +116,7 @@ class Machine:
             part = directions[first : first + WIDTHS[-1]]
             compiled = self._with_width(next(own for own in WIDTHS if own >= len(part)))
             runs.append(compiled.run(states, values, part, changes, samples, most, tolerance))
-            self._check(runs[-1])
+            self.check(runs[-1])
         if len(runs) == 1:
             return Shown(runs[0].outputs, runs[0].slopes, self._events(runs[0].events), runs[0].steps)
         slopes = np.concatenate([done.slopes for done in runs], axis=2)
@@ -126,15 +128,18 @@ class Machine:
     ) -> Live:  # fmt: skip
         """The machine live, from a time on, s; `levels` of its inputs, SI, hold until they change; else as `run`."""
         states, values = self._start(numbers, start)
-        stepped = Stepped(self._with_width(0), states, values, _held(time, levels), tolerance)
-        return Live(stepped, self._events, self._check)
+        return Live(self, Stepped(self._with_width(0), states, values, _held(time, levels), tolerance), levels)
 
     def _start(self, numbers: Mapping[str, float], start: Mapping[str, float]) -> tuple[Array, Array]:
         states = np.array([start[name] for name in self.equations.derivatives])
-        values = np.array([numbers[name] for name in self.equations.parameters])
+        values = self.values(numbers)
         if not math.isfinite(states.sum() + values.sum()):
             raise SimulationError("a parameter or a state at the start is not finite")
         return states, values
+
+    def values(self, numbers: Mapping[str, float]) -> Array:
+        """Parameters in the order of the engine."""
+        return np.array([numbers[name] for name in self.equations.parameters])
 
     def _changes(self, inputs: Inputs, time: float) -> Changes:
         """What inputs do from a time on, s; known of those that drive it again and again."""
@@ -152,11 +157,20 @@ class Machine:
         return self._compiled[width]
 
     def _events(self, events: Array) -> tuple[Event, ...]:
-        transitions = self.equations.transitions
-        found = [Event(float(time), transitions[int(which)].cases[int(case)].event) for time, which, case in events]
+        found = [Event(time, case.event) for time, case in self.cases(events)]
         return tuple(event for event in found if event.name)
 
-    def _check(self, done: Run) -> None:
+    def cases(self, events: Array) -> list[tuple[float, Case[Expr]]]:
+        """Of each event its time, s, and which case of which transition it was."""
+        transitions = self.equations.transitions
+        return [(float(time), transitions[int(which)].cases[int(case)]) for time, which, case in events]
+
+    def check(self, done: Run) -> None:
+        """Refuse a run that came to nothing.
+
+        Raises:
+            SimulationError: it took too many steps, time stands still, or a number is not finite.
+        """
         if done.outcome == driver.TOO_MANY:
             raise SimulationError(
                 f"{done.steps:,} steps did not reach the end: the equations are too fast for the recording"
@@ -172,29 +186,64 @@ class Machine:
             raise SimulationError(f"a state or output is not finite from {done.time:.6g} s on")
 
 
+class Piece(NamedTuple):
+    """What a machine that is stepped shows.
+
+    Attributes:
+        outputs: (outputs,) in SI. events: those with a name since the piece before.
+        entered: the modes that began since then, each with its region.
+        modes: the mode in force in each region, by the region's name.
+    """
+
+    outputs: Array
+    events: tuple[Event, ...]
+    entered: tuple[tuple[str, str], ...]
+    modes: Mapping[str, str]
+
+
 class Live:
-    """A machine that is stepped: what it shows at times that are not known beforehand is what one run shows then."""
+    """A machine that is stepped: what it shows at times that are not known beforehand is what one run shows then.
 
-    def __init__(
-        self, stepped: Stepped, named: Callable[[Array], tuple[Event, ...]], check: Callable[[Run], None]
-    ) -> None:
-        self._stepped, self._named, self._check = stepped, named, check
+    Args:
+        machine: made it. stepped: it, at its start. levels: of its inputs, SI.
+    """
 
-    def advance(self, time: float) -> tuple[Array, tuple[Event, ...]]:
-        """The outputs at a time, s, SI, and the events with a name since the last call.
+    def __init__(self, machine: Machine, stepped: Stepped, levels: Sequence[float]) -> None:
+        self._machine, self._stepped, self._levels = machine, stepped, tuple(levels)
+        self._untold = [stepped.begun]
+        machine.check(stepped.begun)
+
+    def advance(self, time: float) -> Piece:
+        """What it shows at a time, s.
 
         Raises:
             SimulationError: a number is not finite, or time stands still.
         """
         return self._shown(self._stepped.advance(time))
 
-    def change(self, time: float, levels: Sequence[float]) -> tuple[Array, tuple[Event, ...]]:
+    def change(self, time: float, levels: Sequence[float]) -> Piece:
         """The same, of inputs that have other levels, SI, from that time on."""
+        self._levels = tuple(levels)
         return self._shown(self._stepped.advance(time, _held(time, levels)))
 
-    def _shown(self, done: Run) -> tuple[Array, tuple[Event, ...]]:
-        self._check(done)
-        return done.outputs[0], self._named(done.events)
+    def renumber(self, time: float, numbers: Mapping[str, float]) -> Piece:
+        """The same, with other values of all parameters from that time on; states go on."""
+        here = _held(time, self._levels)
+        self._untold.append(self._stepped.advance(time, here))
+        self._stepped.renumber(self._machine.values(numbers))
+        return self._shown(self._stepped.advance(time, here))
+
+    def _shown(self, done: Run) -> Piece:
+        self._machine.check(done)
+        runs, self._untold = [*self._untold, done], []
+        cases = [case for run in runs if len(run.events) for case in self._machine.cases(run.events)]
+        events = tuple([Event(time, case.event) for time, case in cases if case.event])
+        entered = tuple([pair for _, case in cases for pair in case.to.items()])
+        regions = self._machine.equations.regions
+        modes = {
+            name: tuple(own)[number] for (name, own), number in zip(regions.items(), self._stepped.modes, strict=False)
+        }
+        return Piece(done.outputs[0], events, entered, modes)
 
 
 def _held(time: float, levels: Sequence[float]) -> Changes:
