@@ -42,7 +42,7 @@ class PlantOnTopics:
         self._reports = probe.hear(f"{monitor}/stroke_report", String)
         self.residuals = probe.hear(f"{monitor}/residual", Float64)
         self.predicted = probe.hear(f"{monitor}/predicted/joint_states", JointState)
-        self._taken = 0
+        self._taken = self._sent = 0
 
     def wait_for_monitor(self) -> None:
         """Until each hears the other: samples of long before the first stroke are sent until one is answered."""
@@ -53,12 +53,14 @@ class PlantOnTopics:
             _stamp(message.header.stamp, BEFORE + 1e-3 * index)
             self._samples.publish(message)
             if self._probe.until(lambda: bool(self.predicted), PAUSE):
+                self._sent = self.told  # an earlier monitor took the end of its last stroke with it
                 return
         raise AssertionError("the monitor predicts nothing")
 
     def stroke(self, effects: Mapping[str, Mapping[str, float]] | None = None) -> None:
         """One stroke of the valve with these effects, each sample answered."""
         made = self._valve.stroke(effects)
+        self._sent += 1
         edges = np.searchsorted(made.times, made.command_times).tolist()
         for index, (first, stop) in enumerate(zip([0, *edges], [*edges, len(made.times)], strict=True)):
             if index:
@@ -67,11 +69,10 @@ class PlantOnTopics:
                 self._send(made, start, min(start + CHUNK, stop))
 
     def strokes(self, count: int, effects: Mapping[str, Mapping[str, float]] | None = None) -> list[Any]:
-        """So many strokes; the reports of all but the last, which has not ended yet."""
-        told = self.told
+        """So many strokes; the reports that were not taken yet of all but the last, which has not ended yet."""
         for _ in range(count):
             self.stroke(effects)
-        assert self._probe.until(lambda: self.told >= told + count - 1), "a stroke was not reported"
+        assert self._probe.until(lambda: self.told >= self._sent - 1), "a stroke was not reported"
         return self.take_reports()
 
     def rest(self, count: int, seconds: float = 0.15) -> list[Any]:

@@ -19,7 +19,7 @@ from nodes.ros import DiagnosticArray, Float64, JointState, QoSProfile, Reliabil
 from valve_sim.nodes.messages import pilot_position, stamp_of
 
 from .plant_on_topics import PlantOnTopics
-from .ros_process import Diagnostics, Probe, ended, piped, running
+from .ros_process import PATIENCE, Diagnostics, Probe, ended, piped, running
 
 pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("ros")]
 
@@ -88,10 +88,8 @@ def test_a_driver_of_the_labs_own_sensor_is_heard_in_metres(probe: Probe, tmp_pa
         ended(process, signal.SIGINT)
 
 
-UNHURRIED = 20.0
-"""s for a search, before more strokes are made."""
-MOST = 100
-"""Strokes with friction."""
+TWO_WINDOWS, ANOTHER = 10, 3
+"""Strokes with friction, the last of which does not end: searches begin with the sixth, the ninth, and the twelfth."""
 
 
 @pytest.mark.long
@@ -113,12 +111,10 @@ def test_friction_that_appears_in_a_real_valve_is_warned_of_and_named(probe: Pro
         residual = np.array([message.data for message in plant.residuals[before:]])
         assert np.sqrt(np.mean(residual**2)) == pytest.approx(1e-6, rel=0.1)
         rubs = {"coulomb_friction": {"force": 0.3}}
-        reports = plant.strokes(10, rubs)
+        reports = plant.strokes(TWO_WINDOWS, rubs)
         assert any(report["alarm"]["raised"] for report in reports[:5])
         assert probe.until(lambda: ears.is_said("valve", 1, "not those of the commissioned valve"))
-        while not probe.until(lambda: findings, UNHURRIED) and len(reports) < MOST:  # two windows of strokes must agree
-            reports += plant.strokes(5, rubs)
-        assert findings, "the fault was not isolated"
+        assert probe.until(lambda: findings, 2 * PATIENCE), "the fault was not isolated"
         (status,) = findings[0].status
         finding, summary = {item.key: item.value for item in status.values}, status.message
         assert (status.name, status.level) == ("monitor: finding", b"\x01")
@@ -134,9 +130,8 @@ def test_friction_that_appears_in_a_real_valve_is_warned_of_and_named(probe: Pro
         assert 10.0 < last["time"] < 100.0, "of /clock, which begins with the tenth second"
         assert probe.until(lambda: ears.is_said("valve", 1, summary)), "the same words on /diagnostics"
         # Again with more strokes: the same name is on the topic with its new figures, and not logged again.
-        while not probe.until(lambda: len(findings) > 1, UNHURRIED) and len(reports) < MOST:
-            reports += plant.strokes(5, rubs)
-        assert len(findings) > 1, "no second finding"
+        plant.strokes(ANOTHER, rubs)
+        assert probe.until(lambda: len(findings) > 1, 2 * PATIENCE), "no second finding"
         told = [message.status[0].message for message in findings]
         said = ended(process, signal.SIGTERM)
         assert said.count(told[0]) == 1

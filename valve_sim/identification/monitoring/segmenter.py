@@ -112,7 +112,7 @@ class StrokeSegmenter:
 
     @property
     def _longest_wait(self) -> float:
-        """Seconds beyond `patience` before a valve is said not to follow: as long as it has ever been late."""
+        """Seconds beyond `patience` before a valve is said not to follow: as long as commands have ever been late."""
         return max(self.uncertainty, TAIL * self._latest)
 
     def reset(self) -> None:
@@ -127,6 +127,7 @@ class StrokeSegmenter:
         self._last = self._last_command = -math.inf
         self._position = math.nan
         self._last_open = -math.inf
+        self._valve_left, self._model_left = -math.inf, math.inf
         self._pending: deque[tuple[float, float]] = deque()
         self._samples = KeptSamples(by_current=self._by_current)
         self._motion = MeasuredMotion(RESTING * self._valve.parameters.stroke)
@@ -311,8 +312,15 @@ class StrokeSegmenter:
         if not self._is_closed(highest):
             self._last_open = time
         elif self._last_open == last > -math.inf and self._phase is Phase.CLOSED:
-            # It closes after the model had, as where its command came late.
-            self._latest = max(self._latest, min(time - self._phase_since, LONGEST_DELAY))
+            # It closes after the model had. Where its command came late, it has begun to as late; a slow valve has not.
+            late = min(time - self._phase_since, self._valve_left - self._model_left)
+            self._latest = max(self._latest, min(late, LONGEST_DELAY))
+        if position >= OPENED * self._valve.parameters.stroke:
+            self._valve_left = time
+        if reading.pilot_position >= OPENED * self._valve.parameters.stroke:
+            self._model_left = math.inf
+        else:
+            self._model_left = min(self._model_left, time)
         is_still = abs(reading.pilot_velocity) <= STILL
         phase = Phase.CLOSED if is_still and self._is_closed(reading.pilot_position) else reading.phase
         if phase is not self._phase:
