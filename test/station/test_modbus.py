@@ -296,6 +296,35 @@ def test_a_port_that_is_taken_is_one_line(served: Served) -> None:
         other.start()
 
 
+def plain_registers(port: int, act: Any = None) -> ModbusTcpServer:
+    """A PLC that is the server: pymodbus's, with 40 registers."""
+    registers = SimData(100, count=40, values=0, datatype=DataType.REGISTERS)
+    return ModbusTcpServer(SimDevice(0, simdata=[registers], action=act), address=("127.0.0.1", port))
+
+
+def test_polling_ends_whenever_it_is_stopped() -> None:
+    """While an answer comes, too, which may take the place of what cancels."""
+
+    async def play() -> None:
+        server = plain_registers(port := free_port())
+        await server.serve_forever(background=True)
+        for turns in range(30):
+            client = PlcClient(PlcStation(("valve",), watchdog=0.5), "127.0.0.1", port, first=100, period=0.0)
+            await client.start()
+            while client.cycles < 2:
+                await asyncio.sleep(0.0)
+            for _ in range(turns):
+                await asyncio.sleep(0.0)
+            stopping = asyncio.create_task(client.stop())
+            done, _ = await asyncio.wait([stopping], timeout=20.0)
+            cycles = client.cycles
+            await asyncio.sleep(0.0)
+            assert done and client.cycles == cycles
+        await server.shutdown()
+
+    asyncio.run(play())
+
+
 def test_a_plc_that_is_the_server_is_polled_lost_and_found() -> None:
     """The PLC is pymodbus's server with plain registers; it beats whenever its command is read."""
 
@@ -312,8 +341,7 @@ def test_a_plc_that_is_the_server_is_polled_lost_and_found() -> None:
                 plc["status"] = list(values)
 
         async def begin() -> Any:
-            device = SimDevice(0, simdata=[SimData(100, count=40, values=0, datatype=DataType.REGISTERS)], action=act)
-            server = ModbusTcpServer(device, address=("127.0.0.1", port))
+            server = plain_registers(port, act)
             await server.serve_forever(background=True)
             return server
 

@@ -45,11 +45,12 @@ class PlcClient:
 
     async def stop(self) -> None:
         """Stop polling."""
-        self._task.cancel()
-        try:
-            await self._task
-        except asyncio.CancelledError:
-            return
+        # asyncio.wait_for, in pymodbus, loses a cancellation that comes with an answer, before Python 3.12.
+        while not self._task.done():
+            self._task.cancel()
+            await asyncio.wait([self._task], timeout=0.1)
+        if not self._task.cancelled():
+            self._task.result()
 
     async def _poll(self) -> None:
         client = AsyncModbusTcpClient(self._host, port=self._port, timeout=1.0, retries=0, reconnect_delay=0.1)
