@@ -57,10 +57,13 @@ class MonitorInputs:
     def __init__(self, node: Node, clock: NodeClock, valve: str, measured: str, take: Takers, *, has_gas: bool) -> None:
         self._clock, self._take = clock, take
         self.inbox = Inbox(node, clock)
-        self.measured, self.voltage = measured, f"{valve}/coil_voltage"
         sensors, _, kind = measured.rpartition("/")
+        # As remapped, for the log.
+        self.measured, self.voltage, coil = map(
+            node.resolve_topic_name, (measured, f"{valve}/coil_voltage", f"{sensors}/coil")
+        )
         self.by_current = kind in _OF_COIL
-        self.wanted = measured if self.by_current else f"{measured}, or a current on {sensors}/coil"
+        self.wanted = self.measured if self.by_current else f"{self.measured}, or a current on {coil}"
         self._interface = Interface(node, topics.MONITOR, valve=valve, sensors=sensors, measured=measured)
         if has_gas:
             self._subscribe_to_pressures(is_simulated=sensors == valve)
