@@ -1,33 +1,30 @@
-"""Publishes a bench's own sensor as the topic that monitor_node and recorders hear: stamped, in metres, + opens.
+"""Publishes a laser's distances as the positions that monitor_node and recorders hear: stamped, in metres, + opens.
 
-    python3 docs/examples/sensor_driver.py
-    ros2 run valve_sim monitor_node --ros-args -r /valve/coil_voltage:=/lab/supply
+    python3 docs/examples/sensor_driver.py --ros-args -r measured:=/tank_1/valve/measured/joint_states
 
-/lab/lvdt (std_msgs/Float64) reads 12.5 mm where the valve is closed, and less as it opens. The commands need no
-driver: a topic of the same type and unit is remapped.
+/lab/laser (sensor_msgs/Range) is 12.5 mm where the valve is closed, and less as it opens.
 """
 
 import rclpy
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64
+from sensor_msgs.msg import JointState, Range
 
-CLOSED_MM = 12.5
+CLOSED = 12.5e-3
 
 
 class SensorDriver(Node):
-    """Of your sensor's own library, take the time at which it sampled; here it is the time of arrival."""
+    """Subscribes to distances and publishes positions."""
 
     def __init__(self) -> None:
         super().__init__("sensor_driver")
-        self._positions = self.create_publisher(JointState, "/valve/measured/joint_states", qos_profile_sensor_data)
-        self.create_subscription(Float64, "/lab/lvdt", self._convert, qos_profile_sensor_data)
+        self._positions = self.create_publisher(JointState, "measured", qos_profile_sensor_data)
+        self.create_subscription(Range, "/lab/laser", self._convert, qos_profile_sensor_data)
 
-    def _convert(self, reading: Float64) -> None:
-        message = JointState(name=["pilot_plunger"], position=[1e-3 * (CLOSED_MM - reading.data)])
-        message.header.stamp = self.get_clock().now().to_msg()
+    def _convert(self, reading: Range) -> None:
+        # The stamp is the time at which the sensor sampled; the time of arrival scatters by milliseconds.
+        message = JointState(header=reading.header, name=["pilot_plunger"], position=[CLOSED - reading.range])
         self._positions.publish(message)
 
 

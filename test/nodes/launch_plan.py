@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import runpy
 import sys
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any, NamedTuple
@@ -23,11 +23,23 @@ class LaunchConfiguration(NamedTuple):
 class DeclareLaunchArgument(NamedTuple):
     name: str
     default_value: str
-    description: str
+    description: str = ""
 
 
 class OpaqueFunction(NamedTuple):
     function: Callable[[Any], list[Any]]
+
+
+class IncludeLaunchDescription(NamedTuple):
+    """Another launch file, as the parts of its path, and the arguments that it is given."""
+
+    source: Sequence[str]
+    launch_arguments: Iterable[tuple[str, Any]] = ()
+
+
+class ExecuteProcess(NamedTuple):
+    cmd: Sequence[Any]
+    output: str = ""
 
 
 class Node(NamedTuple):
@@ -42,6 +54,7 @@ class Node(NamedTuple):
     ros_arguments: Sequence[str | LaunchConfiguration] = ()
     respawn: bool = False
     respawn_delay: float = 0.0
+    remappings: Sequence[tuple[str, str]] = ()
 
     @property
     def full_name(self) -> str:
@@ -92,11 +105,16 @@ def read_launch_file(path: Path) -> LaunchPlan:
     """The plan of a launch file that has `generate_launch_description`."""
     stands_for = {
         "launch": {"LaunchDescription": list, "LaunchContext": object},
-        "launch.actions": {"DeclareLaunchArgument": DeclareLaunchArgument, "OpaqueFunction": OpaqueFunction},
-        "launch.substitutions": {"LaunchConfiguration": LaunchConfiguration},
+        "launch.actions": {
+            "DeclareLaunchArgument": DeclareLaunchArgument, "ExecuteProcess": ExecuteProcess,
+            "IncludeLaunchDescription": IncludeLaunchDescription, "OpaqueFunction": OpaqueFunction,
+        },
+        "launch.launch_description_sources": {"PythonLaunchDescriptionSource": list},
+        "launch.substitutions": {"LaunchConfiguration": LaunchConfiguration, "PathJoinSubstitution": list},
         "launch_ros": {},
         "launch_ros.actions": {"Node": Node},
-    }
+        "launch_ros.substitutions": {"FindPackageShare": str},
+    }  # fmt: skip
     modules = {name: ModuleType(name) for name in stands_for}
     for name, content in stands_for.items():
         vars(modules[name]).update(content)

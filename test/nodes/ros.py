@@ -15,7 +15,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.subscription import Subscription
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import BatteryState, FluidPressure, JointState
+from sensor_msgs.msg import BatteryState, FluidPressure, JointState, Range
 from std_msgs.msg import Bool, Float64, String, UInt8
 from std_srvs.srv import Trigger
 

@@ -15,8 +15,7 @@ import numpy as np
 import pytest
 from identification.live_strokes import LiveValve
 
-from nodes.ros import DiagnosticArray, Float64, JointState, QoSProfile, ReliabilityPolicy, String, Trigger
-from valve_sim.nodes.messages import pilot_position, stamp_of
+from nodes.ros import DiagnosticArray, Float64, JointState, String, Trigger
 
 from .plant_on_topics import PlantOnTopics
 from .ros_process import PATIENCE, Diagnostics, Probe, ended, piped, running
@@ -24,7 +23,6 @@ from .ros_process import PATIENCE, Diagnostics, Probe, ended, piped, running
 pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("ros")]
 
 
-ROOT = Path(__file__).parents[2]
 FEW = 8
 """Commissioning strokes, the fewest that are allowed."""
 EXACT: dict[str, object] = {"valve.pilot_mass": 0.109}
@@ -72,20 +70,6 @@ class Ears:
             self.stroke(9.0 + index % 3)
         assert self.probe.until(lambda: len(self.reports) >= before + count), "a stroke was not reported"
         return [json.loads(report.data) for report in self.reports[before:]]
-
-
-@pytest.mark.any_distribution
-def test_a_driver_of_the_labs_own_sensor_is_heard_in_metres(probe: Probe, tmp_path: Path) -> None:
-    heard, lvdt = list[JointState](), probe.talker("/lab/lvdt", Float64)
-    best_effort = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
-    probe.node.create_subscription(JointState, "/valve/measured/joint_states", heard.append, best_effort)
-    with piped(tmp_path, [str(ROOT / "docs" / "examples" / "sensor_driver.py")]) as process:
-        before = time.time_ns()
-        assert probe.until(lambda: lvdt.publish(Float64(data=11.5)) is None and probe.until(lambda: heard, 0.05))
-        assert list(heard[0].position) == pytest.approx([1e-3])
-        assert pilot_position(heard[0]) == heard[0].position[0]
-        assert before < stamp_of(heard[0]) < time.time_ns()
-        ended(process, signal.SIGINT)
 
 
 TWO_WINDOWS, ANOTHER = 10, 3
