@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import json
 import re
@@ -104,3 +105,28 @@ def test_the_reading_list_of_the_code_names_what_is_there() -> None:
         source = (ROOT / place).read_text(encoding="utf-8")
         for name in re.findall(r"`(\w+)`", words):
             assert re.search(rf"^(def|class) {name}\b", source, re.MULTILINE), f"{place}: {name}"
+
+
+def test_every_message_of_troubleshooting_is_in_the_code() -> None:
+    """Its fixed words, in their order, are one text of the source; "…" stands for what is filled in."""
+    page = (ROOT / "docs" / "how_to" / "troubleshooting.md").read_text(encoding="utf-8")
+    messages = re.findall(r"^\| `(.*?)` \| ", page, re.MULTILINE)
+    assert len(messages) > 30
+    texts = "\0".join(text for path in (ROOT / "valve_sim").rglob("*.py") for text in texts_of(path))
+    gone = [
+        message
+        for message in messages
+        if not re.search("[^\0]*".join(re.escape(part.strip()) for part in message.split("…") if part.strip()), texts)
+    ]
+    assert gone == []
+
+
+def texts_of(source: Path) -> Iterator[str]:
+    """Every text of a source, without what is filled in; docstrings are none."""
+    tree = ast.parse(source.read_text(encoding="utf-8"))
+    docstrings = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.JoinedStr):
+            yield "".join(str(part.value) if isinstance(part, ast.Constant) else "…" for part in node.values)
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docstrings:
+            yield node.value
