@@ -184,6 +184,7 @@ from click.testing import CliRunner
 from valve_sim.cli import main
 
 run, usage = CliRunner().invoke, lambda: resource.getrusage(resource.RUSAGE_SELF)
+peak = lambda: next(int(line.split()[1]) for line in open("/proc/self/status") if line.startswith("VmHWM")) / 1024
 run(main, ["info", "bags/friction"])
 resource.setrlimit(resource.RLIMIT_AS, (4 << 30, 4 << 30))
 for line in sys.stdin:
@@ -194,13 +195,14 @@ for line in sys.stdin:
     after = usage()
     trouble = "" if result.exception is None or isinstance(result.exception, SystemExit) else repr(result.exception)
     seconds = after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
-    print(json.dumps([result.exit_code, result.stderr[-2000:] + trouble, seconds, after.ru_maxrss / 1024]), flush=True)
+    print(json.dumps([result.exit_code, result.stderr[-2000:] + trouble, seconds, peak()]), flush=True)
 """
 """Runs one command after another, and says after each what it cost and the peak of its memory.
 
 It is a process of its own. That of the tests holds what other tests have needed, and how far that grows says little:
 what they have given back is used again and does not count, and a copy of it begins without its libraries. The peak of
-one process that reads all is no less than that of a process that reads one, which is what a user pays.
+one process that reads all is no less than that of a process that reads one, which is what a user pays. (The peak that
+getrusage knows is no less than what the parent had when it started the process.)
 """
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -64,6 +65,23 @@ def test_nothing_is_missing(found: Diagnosis) -> None:
 def test_held_out_strokes_are_predicted_to_the_noise(found: Diagnosis) -> None:
     noise = found.before.fit.problem.noise.sigma
     assert found.after.holdout_rmse < 1.2 * noise
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("seed", "trend"), [(7, 0.4), (11, -0.3), (9, 0.0)])
+def test_a_damping_that_changes_steadily_is_told_as_a_trend(seed: int, trend: float) -> None:
+    """What is drawn anew for each stroke is none."""
+    made = Laboratory(trend=trend) if trend else Laboratory(stroke_variation=0.1)
+    trace = as_trace(measure(SHEET_VALVE, {}, train_profile(), made, seed), "train.mcap")
+    (entries,) = diagnose([trace], [], DECLARED).recording.values()
+    (told,) = (own for own in entries if own.error == "stroke_variation" and own.detail.startswith("damping"))
+    assert told.is_likely
+    if not trend:
+        assert told.detail == "damping"
+        return
+    (words,) = re.findall(r"; main damping (grows|falls) by (\d+) % from the first stroke to the last$", told.detail)
+    assert words[0] == ("grows" if trend > 0.0 else "falls")
+    assert float(words[1]) == pytest.approx(100.0 * abs(trend), abs=8.0)
 
 
 def test_each_error_comes_out_with_its_size(laboratory: str, found: Diagnosis) -> None:

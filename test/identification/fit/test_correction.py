@@ -13,6 +13,7 @@ import pytest
 from identification.recordings import COARSER, FEW, Short, recorded
 from valve_sim.files.parameter_files import default_valve, load_valve
 from valve_sim.files.recording_map import load_map
+from valve_sim.identification.fit import remains
 from valve_sim.identification.fit.correction import (
     Correction,
     Score,
@@ -26,9 +27,10 @@ from valve_sim.identification.fit.correction import (
     refitted_errors,
 )
 from valve_sim.identification.fit.grades import Grade, grades, look_alikes, rise_without
-from valve_sim.identification.fit.left_out import left_out, parts_of
+from valve_sim.identification.fit.left_out import left_by, left_out, parts_of, response_in_motion
 from valve_sim.identification.fit.posterior import Decision, Set, decide
 from valve_sim.identification.fit.problem import Problem
+from valve_sim.identification.fit.remains import place_of
 from valve_sim.identification.fit.search import Search
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.traces import read_trace
@@ -97,9 +99,28 @@ def test_what_the_budget_cuts_short_is_said(monkeypatch: pytest.MonkeyPatch) -> 
 def test_how_far_a_correction_changes_pulses_that_nobody_recorded_is_told() -> None:
     search = searched()
     correction, _ = closed(search)
-    found = elsewhere(correction, search.problem.plant)
+    found = elsewhere(correction.tried, correction.names, correction.alternatives, search.problem.plant)
     assert len(found) == len(search.problem.plant.experiments)
     assert max(own.moved for own in found) > correction.noise
+
+
+@pytest.mark.parametrize("is_rising", [True, False])
+def test_where_most_is_left_is_told(is_rising: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Added to what a fit leaves while the plunger is between 0.3 and 0.4 mm, one way."""
+    search = searched()
+    tried, problem = search.tried["coulomb_friction",], search.problem
+    places, channel = problem.rows.places, problem.plant.channels[0]
+    at = np.searchsorted(channel.times, places.time)
+    ahead = channel.data[np.minimum(at + 10, len(channel.data) - 1)]
+    moving = response_in_motion(problem) & (np.abs(channel.data[at] - 0.35e-3) < 0.05e-3)
+    moving &= (ahead > channel.data[at]) == is_rising
+    left = left_by(tried.fit.gaussian)
+    monkeypatch.setattr(remains, "left_by", lambda gaussian: left + 5.0 * moving)
+    found = place_of(tried)
+    assert found is not None and found.is_rising == is_rising
+    assert found.low < 0.4e-3 and found.high > 0.3e-3 and found.high - found.low < 0.4e-3
+    monkeypatch.setattr(remains, "left_by", lambda gaussian: np.ones_like(left))
+    assert place_of(tried) is None
 
 
 # -- the rule, on tables that are made up ------------------------------------------------------------------------------

@@ -39,5 +39,12 @@ def test_a_force_gains_what_its_process_gains(size: float) -> None:
     assert (found > 0.0) == (size > 0.1)
 
 
+def test_what_the_fit_can_follow_gains_nothing_by_rounding() -> None:
+    gaussian = fit(problem_of(LinearPlant(measured())), ("level",), {}).gaussian
+    moved = gaussian.sums.moved[:, :-1]
+    followed = 1e14 * moved @ np.random.default_rng(1).standard_normal((moved.shape[1], SPLINES))
+    assert gain(gaussian, followed, COVARIANCES) < 0.0
+
+
 def test_sizes_have_the_probability_one() -> None:
     assert math.fsum(np.exp(LOG_PRIOR)) == pytest.approx(1.0, abs=0.1)

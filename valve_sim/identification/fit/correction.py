@@ -34,6 +34,7 @@ from valve_sim.identification.fit.left_out import (
 )
 from valve_sim.identification.fit.model import Model
 from valve_sim.identification.fit.posterior import EVEN, SURE, Decision, Set
+from valve_sim.identification.fit.remains import Place, place_of
 from valve_sim.identification.fit.score_test import log_gains
 from valve_sim.identification.fit.search import Search, added, without
 from valve_sim.identification.fit.starts import starts_of
@@ -334,6 +335,19 @@ class ChannelMisfit(NamedTuple):
     after: float
 
 
+class Elsewhere(NamedTuple):
+    """Commands that were not recorded.
+
+    Attributes:
+        words: what they are. moved: rms by which the correction changes the response there, in its unit.
+        spread: rms of how far other sets that predict as well differ from it there.
+    """
+
+    words: str
+    moved: float
+    spread: float
+
+
 @dataclass(frozen=True)
 class Correction:
     """A correction by prediction.
@@ -345,7 +359,8 @@ class Correction:
         noise: of the response, in its unit. predicted: what the posterior expects of the error after.
         alternatives: other sets that predict as well. spread: rms of how far these differ on the recorded strokes.
         channels: by kind. scores, tried: of all sets. parts: what was left out.
-        cut_short: what the budget did not allow.
+        cut_short: what the budget did not allow. place: in which most is left.
+        elsewhere: of commands that nobody recorded, where other sets predict as well.
     """
 
     names: Set
@@ -362,6 +377,8 @@ class Correction:
     tried: Mapping[Set, Tried]
     parts: tuple[Part, ...] = ()
     cut_short: tuple[str, ...] = ()
+    place: Place | None = None
+    elsewhere: tuple[Elsewhere, ...] = ()
 
     @property
     def fit(self) -> Tried:
@@ -393,30 +410,20 @@ class Correction:
         return (self.before - self.after) / gap if gap > 0.0 else math.nan
 
 
-class Elsewhere(NamedTuple):
-    """Commands that were not recorded.
+def elsewhere(tried: Mapping[Set, Tried], names: Set, others: Sequence[Set], plant: Plant) -> tuple[Elsewhere, ...]:
+    """How far a correction is to be believed on commands that a plant knows and nobody has recorded.
 
-    Attributes:
-        words: what they are. moved: rms by which the correction changes the response there, in its unit.
-        spread: rms of how far other sets that predict as well differ from it there.
+    Args:
+        tried: the fits by set. names: the correction. others: sets that predict as well. plant: that was recorded.
     """
-
-    words: str
-    moved: float
-    spread: float
-
-
-def elsewhere(correction: Correction, plant: Plant) -> tuple[Elsewhere, ...]:
-    """How far a correction is to be believed on commands that a plant knows and nobody has recorded."""
-    sets = [(), correction.names, *correction.alternatives[:COMPARED]]
-    values = [machine_values(correction.tried[names].result) for names in sets]
+    values = [machine_values(tried[own].result) for own in ((), names, *others[:COMPARED])]
     found = []
     for experiment in plant.experiments:
         try:
-            declared, here, *others = [_response(experiment.simulated(own)) for own in values]
+            declared, here, *alike = [_response(experiment.simulated(own)) for own in values]
         except SimulationError:
             continue
-        spread = math.sqrt(float(np.mean([np.mean(np.square(own - here)) for own in others]))) if others else 0.0
+        spread = math.sqrt(float(np.mean([np.mean(np.square(own - here)) for own in alike]))) if alike else 0.0
         found.append(Elsewhere(experiment.words, math.sqrt(float(np.mean(np.square(declared - here)))), spread))
     return tuple(found)
 
@@ -479,6 +486,8 @@ def _outcome(scoring: Scoring, choice: Choice) -> Correction:
         names, choice.by, is_applied, tuple(conditions), is_refitted, noise.sigma, _predicted(scoring, names),
         tuple(alternatives), noise.innovation * _spread(scoring, names, alternatives), _channels(scoring, names),
         scoring.scores, scoring.tried, tuple(parts), tuple(scoring.cut_short),
+        None if search.problem.is_long else place_of(scoring.tried[names if is_applied else ()]),
+        elsewhere(scoring.tried, names, alternatives, search.problem.plant) if is_applied and alternatives else (),
     )  # fmt: skip
 
 

@@ -42,6 +42,8 @@ MOST_MOTIONS: Final = 24
 """Motions, of those recorded, in which a force over time is sought."""
 LITTLE: Final = 1e-9
 """Added to the diagonal of a covariance of equal splines."""
+ROUNDING: Final = 1e-9
+"""Of the largest square of the columns: what is left of less, after all that the fit can follow, is rounding."""
 
 
 def log_evidence_beside(fitter: Fitter, tried: Tried) -> float:
@@ -79,12 +81,13 @@ def _log_evidence(fitter: Fitter, tried: Tried, own: ForceMap) -> float:
 def gain(gaussian: Gaussian, columns: Array, covariances: list[Array]) -> float:
     """What ln p grows by with (r, q) further columns, whose coefficients have one of some covariances."""
     squares, pulls = gaussian.beyond(columns)
-    logs = []
+    most, logs = float(np.max(np.sum(np.square(columns), axis=0))), []
     for covariance in covariances:
         root = np.linalg.cholesky(covariance + LITTLE * np.eye(len(covariance)))
         values, axes = np.linalg.eigh(root.T @ squares @ root)
-        along, sizes = np.square(axes.T @ (root.T @ pulls)), np.square(SIZES)[:, None]
-        grown = 1.0 + sizes * np.maximum(values, 0.0)
+        is_seen = values > ROUNDING * most
+        along, sizes = np.square(axes.T @ (root.T @ pulls))[is_seen], np.square(SIZES)[:, None]
+        grown = 1.0 + sizes * values[is_seen]
         logs.append(0.5 * np.sum(sizes * along / grown - np.log(grown), axis=1) + LOG_PRIOR)
     return float(logsumexp(logs)) - math.log(len(logs))
 

@@ -130,11 +130,13 @@ def rise_without(scores: Scores, names: Set, absent: set[str]) -> tuple[float, f
 
 
 def _share(scores: Scores, names: Set, name: str) -> float:
-    """The part of the correction's squares that is lost without a member; nan where that was not fitted."""
+    """The part of what the correction takes off that is lost without a member, all of it at most; nan: not fitted."""
 
     def square(score: Score) -> float:
         return float(np.mean(np.exp(2.0 * score.logs)))
 
     rest = without(names, name)
     gain = square(scores[()]) - square(scores[names])
-    return (square(scores[rest]) - square(scores[names])) / gain if rest in scores and gain > 0.0 else math.nan
+    if rest not in scores or not gain > 0.0:
+        return math.nan
+    return min(max((square(scores[rest]) - square(scores[names])) / gain, 0.0), 1.0)

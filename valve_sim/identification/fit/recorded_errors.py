@@ -14,6 +14,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
+from scipy.stats import linregress
 
 from valve_sim.identification.fit.columns import BY_NAME
 from valve_sim.identification.fit.errors import ERRORS
@@ -22,7 +23,7 @@ from valve_sim.identification.fit.result import Fit
 from valve_sim.identification.fit.unknown import GONE, Group
 from valve_sim.identification.plants.protocol import Array, Plant
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.plants.variation import stroke_of
+from valve_sim.identification.plants.variation import VARIATION, stroke_of, varies_in
 
 PICTURED: Final = 200
 """Points of a picture."""
@@ -34,6 +35,13 @@ EVEN: Final = 0.5
 """Probability from which an error is expected of further data."""
 TENTH: Final = 0.1
 """Of a standard error: the step of a difference quotient."""
+SEEN: Final = 0.5
+"""Share of its prior variance that is left of a deviation at most, for the data to have shown it."""
+FEWEST: Final = 5
+"""Strokes, of which a trend is told from chance."""
+CHANCE: Final = 1e-3
+"""Probability by chance of a line through deviations that are drawn for each stroke, below which it is a trend."""
+STEADY: Final = "find what changes while it is recorded: it warms, settles or wears; record it again after a rest"
 
 
 @dataclass(frozen=True)
@@ -169,7 +177,8 @@ def _of_sizes(result: Fit) -> Iterator[RecordedError]:
             amount = _amount(gaussian, group, np.array(places[name], dtype=np.intp), result)
         if BY_NAME[group.error].is_relative:
             amount, unit = amount.over(span), "–"
-        yield _pictured(_entry(recording, group.error, amount, unit, _detail(group, result)), result, group)
+        entry = _with_trend(_entry(recording, group.error, amount, unit, _detail(group, result)), result, group)
+        yield _pictured(entry, result, group)
 
 
 def posterior_of_size(gaussian: Gaussian, group: Group, places: NDArray[np.intp]) -> tuple[Array, float]:
@@ -226,6 +235,29 @@ def _detail(group: Group, result: Fit) -> str:
         return "" if group.error == "supply" else group.key.partition("[")[0].replace("_", " ")
     modes = result.problem.columns.modes.get(group.key, ()) if group.error == "ringing" else ()
     return " and ".join(f"{mode.frequency:.0f} Hz" for mode in modes)
+
+
+def _with_trend(entry: RecordedError, result: Fit, group: Group) -> RecordedError:
+    """What varies from stroke to stroke, told as a trend where its deviations are no draws, but follow a line."""
+    if group.error != VARIATION or not entry.is_likely:
+        return entry
+    found: dict[str, list[tuple[int, float]]] = {}
+    for own in result.nuisances:
+        place = result.names.index(own.name)
+        if own.group == group.key and result.covariance[place, place] < SEEN * entry.size**2:
+            found.setdefault(varies_in(own.name), []).append((stroke_of(own.name), result.values[own.name]))
+    trends = []
+    for name, pairs in found.items():
+        strokes, deviations = np.array(pairs).T
+        if len(strokes) < FEWEST or np.ptp(deviations) <= 0.0:
+            continue
+        line = linregress(strokes, deviations)
+        if line.pvalue < CHANCE:
+            first, last = line.intercept + line.slope * strokes[[0, -1]]
+            change, words = (last - first) / (1.0 + first), name.replace("_", " ")
+            way = "grows" if change > 0.0 else "falls"
+            trends.append(f"{words} {way} by {100.0 * abs(change):.0f} % from the first stroke to the last")
+    return replace(entry, detail="; ".join((entry.detail, *trends)), what_to_do=STEADY) if trends else entry
 
 
 def _pictured(entry: RecordedError, result: Fit, group: Group) -> RecordedError:

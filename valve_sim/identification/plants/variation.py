@@ -31,11 +31,24 @@ def stroke_of(name: str) -> int:
     Raises:
         ValueError: it is another name.
     """
+    return int(_parts(name)[1])
+
+
+def varies_in(name: str) -> str:
+    """What varies, by such a name.
+
+    Raises:
+        ValueError: it is another name.
+    """
+    return _parts(name)[2]
+
+
+def _parts(name: str) -> list[str]:
     kind, _, rest = name.partition("[")
     parts = rest.removesuffix("]").split(",")
     if kind != VARIATION or not rest.endswith("]") or len(parts) != 3:
         raise ValueError(name)
-    return int(parts[1])
+    return parts
 
 
 def variation(

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, Final
+
+import numpy as np
 
 from valve_sim.identification.diagnosis.outcome import Diagnosis
 from valve_sim.identification.fit.correction import Correction, is_curve
 from valve_sim.identification.fit.grades import Grade
 from valve_sim.identification.fit.intervals import Interval
+from valve_sim.identification.fit.left_out import VOLTS, Stroke
+from valve_sim.identification.fit.remains import Place
 from valve_sim.identification.plants.effect_titles import inside_sentence, named, named_value, title_of
+from valve_sim.identification.plants.hold_out import UnderConditions
 from valve_sim.identification.plants.protocol import READABLE_UNITS, primary_channels
+from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.units import in_unit, measured, quantity
 
 WORDS: Final = {"named": "named", "acts_like": "acts like", "possible": "possible"}
@@ -22,6 +28,8 @@ OVER: Final = {"x": "the position", "v": "the velocity", "t": "time"}
 """Variables of a smooth force in words; others stand as they are."""
 SEEN: Final = 1.05
 """Factor between errors, below which nothing is said of it: another set that was fitted predicts as well."""
+FULL: Final = 0.9
+"""Of the declared stroke: a lift that goes as far is full."""
 IN_REACH: Final = 1.2
 """Error of the corrected model over the noise, up to which nothing is said to be left."""
 
@@ -95,17 +103,75 @@ def grade_words(own: Grade) -> str:
 def _left_words(diagnosis: Diagnosis, found: Correction) -> Iterator[str]:
     """What is left beside the correction, and where it lies."""
     if found.after > IN_REACH * found.noise:
-        left = math.sqrt(max(found.after**2 - found.noise**2, 0.0))
-        worst = max(
-            found.channels, key=lambda kind: found.channels[kind].after / max(found.channels[kind].noise, 1e-300)
-        )
+        left = _beyond_noise(found)
+        worst = _worst_channel(found)
         where = f", most of it in the {worst}" if len(found.channels) > 1 else ""
+        if found.place is not None:
+            where += f"{' and' if where else ', most of it'} {place_words(diagnosis, found.place)}"
         yield f"Something else is left: {quantity(left, _unit(diagnosis))} beyond the noise{where}."
-    others = [" + ".join(map(title_of, names)) or "nothing" for names in found.alternatives if not is_curve(names)]
+    apart = [names for names in found.alternatives if not is_curve(names) and not set(found.names) < set(names)]
+    others = [" + ".join(map(title_of, names)) or "nothing" for names in sorted(apart, key=len)]
     if others:
         yield f"These predict unseen strokes as well: {'; '.join(others[:3])}."
     if found.parts:
         yield f"Holds for strokes like those recorded ({_range_of(found)}). Of other commands nothing is known."
+    if found.elsewhere:
+        pulse, unit = max(found.elsewhere, key=lambda own: own.spread), _unit(diagnosis)
+        yield (
+            f"With {pulse.words}, which was not recorded, these differ by {quantity(pulse.spread, unit)}; "
+            f"the correction is {quantity(pulse.moved, unit)} there."
+        )
+
+
+def place_words(diagnosis: Diagnosis, place: Place) -> str:
+    """A place of the motion: "at 0.5 to 0.7 mm, rising"."""
+    unit = _unit(diagnosis)
+    ends = f"{quantity(place.low, unit, 2)} to {quantity(place.high, unit, 2)}"
+    return f"at {ends}, {'rising' if place.is_rising else 'falling'}"
+
+
+def _beyond_noise(found: Correction) -> float:
+    """Error of unseen conditions beyond the noise, in the response's unit."""
+    return math.sqrt(max(found.after**2 - found.noise**2, 0.0))
+
+
+def _worst_channel(found: Correction) -> str:
+    """The kind of channel that is left furthest above its noise."""
+    return max(found.channels, key=lambda kind: found.channels[kind].after / max(found.channels[kind].noise, 1e-300))
+
+
+def _remains_json(diagnosis: Diagnosis, found: Correction) -> dict[str, Any]:
+    scale, unit = _scale(diagnosis)
+    return {
+        **in_unit("rms", scale * _beyond_noise(found), unit),
+        "channel": _worst_channel(found) if found.channels else None,
+        "where": None if found.place is None else place_words(diagnosis, found.place),
+    }
+
+
+def _valid_for_json(diagnosis: Diagnosis, found: Correction) -> dict[str, Any]:
+    """Under what the strokes were made that confirm a correction."""
+    plant, strokes = diagnosis.plant, [stroke for own in found.parts for stroke in own.strokes]
+    volts: set[float] = set()
+    if isinstance(plant, UnderConditions):
+        volts = {VOLTS * round(level / VOLTS) for stroke in strokes for level in plant.condition_of(*stroke)[::2]}
+    return {
+        "voltages": sorted(volts - {0.0}),
+        "lifts": _lifts(diagnosis, strokes),
+        "profiles": [own.words for own in found.parts],
+    }
+
+
+def _lifts(diagnosis: Diagnosis, strokes: Sequence[Stroke]) -> str | None:
+    """Whether a valve's plunger went to its stop in these strokes; None where its position was not recorded."""
+    plant, found = diagnosis.plant, set[bool]()
+    if not isinstance(plant, ValvePlant):
+        return None
+    for recording, group in strokes:
+        for channel in (one for one in plant.channels if one.recording == recording and one.kind == "position"):
+            highest = np.max(channel.data[channel.group == group], initial=0.0)
+            found.add(bool(highest > FULL * plant.valve.parameters.stroke))
+    return " and ".join(word for word, is_full in (("full", True), ("partial", False)) if is_full in found) or None
 
 
 def _range_of(found: Correction) -> str:
@@ -143,7 +209,8 @@ def correction_json(diagnosis: Diagnosis) -> dict[str, Any] | None:
         "share": found.share,
         "alternatives": [list(names) for names in found.alternatives],
         **in_unit("spread", scale * found.spread, unit),
-        "valid_for": [own.words for own in found.parts],
+        "remains": _remains_json(diagnosis, found),
+        "valid_for": _valid_for_json(diagnosis, found),
     }
 
 
