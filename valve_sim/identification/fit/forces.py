@@ -69,13 +69,14 @@ def _log_evidence(fitter: Fitter, tried: Tried, own: ForceMap) -> float:
     none = {name: float(group.grid[0]) for name, (group, _) in suited.groups.items() if name in set(fitter.learned)}
     try:
         columns, covariances = _columns(fitter, tried, own)
-        found = [suited.log_evidence + suited.log_integral(fitter.learned) + gain(suited, columns, covariances)]
-        if none:
-            alone = suited.resized(none)
-            found.append(alone.log_evidence + gain(alone, columns, covariances))
+        found = [
+            one.log_evidence + gain(one, columns, covariances)
+            for one in (suited, *([suited.resized(none)] if none else []))
+        ]
+        # What sizes cost that might have been others is the same beside a force.
+        return max(found) + suited.log_integral(fitter.learned)
     except (SimulationError, np.linalg.LinAlgError):
         return -math.inf
-    return max(found)
 
 
 def gain(gaussian: Gaussian, columns: Array, covariances: list[Array]) -> float:
