@@ -101,3 +101,20 @@ def test_a_valve_that_is_commissioned_anew_is_not_told_what_the_search_before_ha
         search.let_go.release()
         end(isolation)
     assert [found.occasion.stroke for found in told] == [7], "and the next search is wanted again"
+
+
+def test_a_search_that_fails_is_told_and_the_next_one_begins(search: Search, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*arguments: Any) -> Any:
+        raise IndexError("of nothing")
+
+    isolation = FaultIsolation(lambda found, is_new: None)
+    monkeypatch.setattr(monitor_work, "isolate_fault", fails)
+    begin(isolation, 1)
+    end(isolation)
+    assert isolation.failure == "the fault could not be isolated: IndexError: of nothing"
+    monkeypatch.setattr(monitor_work, "isolate_fault", search)
+    for number in (2, 3):
+        begin(isolation, number)
+        search.let_go.release()
+        end(isolation)
+    assert isolation.failure == "" and isolation.found is not None

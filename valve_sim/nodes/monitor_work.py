@@ -179,8 +179,9 @@ class FaultIsolation:
                 finding = isolate_fault(work.strokes, work.baseline, self._say)
             except _Cancelled:
                 continue
-            except (ValveError, ArithmeticError, ValueError) as error:
-                self._conclude(None, f"the fault could not be isolated: {error}")
+            except Exception as error:  # whatever it is, the next stroke's search is to begin
+                kind = "" if isinstance(error, ValveError) else f"{type(error).__name__}: "
+                self._conclude(None, f"the fault could not be isolated: {kind}{error}")
             else:
                 self._conclude(Found(finding, work.occasion), "")
 

@@ -15,7 +15,7 @@ from identification.fit.linear_plant import COLUMNS, SAMPLES, SIGMA, TIMES, Line
 from identification.freed import fit, unknowns
 from valve_sim.identification.fit import result
 from valve_sim.identification.fit.columns import Columns
-from valve_sim.identification.fit.gaussian import Gaussian
+from valve_sim.identification.fit.gaussian import Gaussian, MachineKnowledge
 from valve_sim.identification.fit.priors import Cauchy, Normal
 from valve_sim.identification.fit.result import Fit
 from valve_sim.identification.fit.unknown import Group, Unknown
@@ -137,6 +137,13 @@ def test_the_evidence_beside_errors_is_that_of_the_covariance_of_the_data(
     assert own.z[0] + own.best[0] == pytest.approx(exact.mean, abs=1e-7)
     assert own.covariance[0, 0] == pytest.approx(exact.variance, rel=1e-6)
     assert own.inverse[0, 0] == pytest.approx(exact.variance, rel=1e-6)
+
+
+def test_other_data_that_say_nothing_of_the_machine_change_nothing() -> None:
+    empty = MachineKnowledge((), np.empty(0), np.empty((0, 0)))
+    alone = fit(problem_of(LinearPlant(COLUMNS[:, 0])), ("level",), {}).gaussian
+    told = Gaussian(alone.model, alone.z, alone.sums, alone.sizes, empty)
+    assert told.log_evidence == pytest.approx(alone.log_evidence)
 
 
 @pytest.mark.parametrize("group", ERRORS, ids=lambda group: group.error)

@@ -250,7 +250,7 @@ class Gaussian:
         of_priors = log_density_of(self.priors, self.z) + 0.5 * float(self.pulls[0].sum())
         if self.known is not None:
             values = np.linalg.eigvalsh(self.known.information)
-            values = values[values > 1e-14 * values[-1]]
+            values = values[values > 1e-14 * values[-1:]]  # of none, where other data say nothing
             of_priors += 0.5 * float(np.sum(np.log(values))) - 0.5 * len(values) * math.log(2.0 * math.pi)
         of_columns = -math.fsum(math.log(self.size(own.group)) for own in self.model.linear)
         return -0.5 * (cost - gain) + of_priors + volume + of_columns - half_log
