@@ -13,8 +13,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
-from scipy.stats import linregress
+from scipy.special import logsumexp, stdtr
 
 from valve_sim.identification.fit.columns import BY_NAME
 from valve_sim.identification.fit.errors import ERRORS
@@ -251,13 +250,18 @@ def _with_trend(entry: RecordedError, result: Fit, group: Group) -> RecordedErro
         strokes, deviations = np.array(pairs).T
         if len(strokes) < FEWEST or np.ptp(deviations) <= 0.0:
             continue
-        line = linregress(strokes, deviations)
-        if line.pvalue < CHANCE:
-            first, last = line.intercept + line.slope * strokes[[0, -1]]
+        if _chance_of_line(strokes, deviations) < CHANCE:
+            first, last = np.polyval(np.polyfit(strokes, deviations, 1), strokes[[0, -1]]).tolist()
             change, words = (last - first) / (1.0 + first), name.replace("_", " ")
             way = "grows" if change > 0.0 else "falls"
             trends.append(f"{words} {way} by {100.0 * abs(change):.0f} % from the first stroke to the last")
     return replace(entry, detail="; ".join((entry.detail, *trends)), what_to_do=STEADY) if trends else entry
+
+
+def _chance_of_line(x: Array, y: Array) -> float:
+    """The probability, by Student's t, of a correlation as large between (n,) draws that have none."""
+    correlation, free = float(np.corrcoef(x, y)[0, 1]), len(x) - 2
+    return 2.0 * float(stdtr(free, -abs(correlation) * math.sqrt(free / max(1.0 - correlation**2, 1e-300))))
 
 
 def _pictured(entry: RecordedError, result: Fit, group: Group) -> RecordedError:
