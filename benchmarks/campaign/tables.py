@@ -229,8 +229,8 @@ DEMANDS: Final = (
 )
 """Of the families, in the order in which they are printed; errors are of held-out data."""
 KNOWN_WRONG: Final = {("weak", 2)}
-"""Cases of a slice that are named wrongly, as is known: a weak vibration moves each closing as a constant force would.
-(Of 20 weak forms without a name 7 were named wrongly before forces were weighed, and 6 since.)"""
+"""Cases of a slice that are named wrongly, as is known: a weak vibration moves closings as residual magnetism would.
+(Of 20 weak forms without a name 8 are named wrongly where no forces are weighed, and 6 where they are.)"""
 
 
 def _is_known_wrong(outcome: Outcome) -> bool:

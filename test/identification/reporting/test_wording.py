@@ -206,3 +206,13 @@ def test_an_error_that_grows_by_copies_of_a_rounding_error_is_explained(diagnosi
     assert "counted once" in rounding_words(larger)
     assert " to ".join(errors) in rounding_words(larger)
     assert rounding_words(larger) in diagnosis_text(larger)
+
+
+def test_a_correction_says_what_it_leaves_and_what_confirms_it(diagnosis: Diagnosis) -> None:
+    told, found = to_json(diagnosis)["correction"], diagnosis.correction
+    assert found is not None
+    volts = {own.words: float(own.words.split(" V")[0]) for own in found.parts}
+    assert told["valid_for"] == {"voltages": sorted({*volts.values()}), "lifts": "full", "profiles": [*volts]}
+    left = math.sqrt(max(found.after**2 - found.noise**2, 0.0))
+    assert told["remains"]["rms_um"] == pytest.approx(1e6 * left)
+    assert told["remains"]["channel"] == "position"

@@ -359,7 +359,7 @@ class Correction:
         noise: of the response, in its unit. predicted: what the posterior expects of the error after.
         alternatives: other sets that predict as well. spread: rms of how far these differ on the recorded strokes.
         channels: by kind. scores, tried: of all sets. parts: what was left out.
-        cut_short: what the budget did not allow. place: in which most is left.
+        cut_short: what the budget did not allow.
         elsewhere: of commands that nobody recorded, where other sets predict as well.
     """
 
@@ -377,13 +377,17 @@ class Correction:
     tried: Mapping[Set, Tried]
     parts: tuple[Part, ...] = ()
     cut_short: tuple[str, ...] = ()
-    place: Place | None = None
     elsewhere: tuple[Elsewhere, ...] = ()
 
     @property
     def fit(self) -> Tried:
         """The fit of what is applied, else of the declared model."""
         return self.tried[self.names if self.is_applied else ()]
+
+    @property
+    def place(self) -> Place | None:
+        """Where in the motion that fit leaves most; None where no place stands out, and of a long recording."""
+        return None if self.fit.fit.gaussian.model.problem.is_long else place_of(self.fit)
 
     @property
     def before(self) -> float:
@@ -486,7 +490,6 @@ def _outcome(scoring: Scoring, choice: Choice) -> Correction:
         names, choice.by, is_applied, tuple(conditions), is_refitted, noise.sigma, _predicted(scoring, names),
         tuple(alternatives), noise.innovation * _spread(scoring, names, alternatives), _channels(scoring, names),
         scoring.scores, scoring.tried, tuple(parts), tuple(scoring.cut_short),
-        None if search.problem.is_long else place_of(scoring.tried[names if is_applied else ()]),
         elsewhere(scoring.tried, names, alternatives, search.problem.plant) if is_applied and alternatives else (),
     )  # fmt: skip
 

@@ -20,7 +20,7 @@ from valve_sim.identification.fit.gaussian import Gaussian
 from valve_sim.identification.fit.gram import gram
 from valve_sim.identification.fit.model import Model, Sums
 from valve_sim.identification.fit.problem import Mask, Problem
-from valve_sim.identification.plants.hold_out import UnderConditions
+from valve_sim.identification.plants.hold_out import Condition, UnderConditions
 from valve_sim.identification.plants.protocol import Array, Plant, primary_channels
 from valve_sim.identification.plants.stroke_choice import SAME
 
@@ -123,12 +123,17 @@ def _condition(plant: Plant, stroke: Stroke) -> _Key:
     if not isinstance(plant, UnderConditions):
         return _Key((float(recording),), name)
     numbers = plant.condition_of(recording, group)
-    levels = [VOLTS * round(volts / VOLTS) for volts in numbers[::2]]
+    levels = levels_of(numbers)
     octaves = [round(steps * math.log2(1.0 + SAME)) for steps in numbers[1::2]]
     held = [(volts, octave) for volts, octave in zip(levels, octaves, strict=True) if volts != 0.0]
     words = ", ".join(f"{volts:g} V for about {1e3 * 2.0**octave:.0f} ms" for volts, octave in held) or "no command"
     several = len({own.recording for own in plant.channels}) > 1
     return _Key((*itertools.chain.from_iterable(held), float(recording)), f"{name}: {words}" if several else words)
+
+
+def levels_of(condition: Condition) -> list[float]:
+    """The voltages of a valve's condition, V, as far as they are told apart."""
+    return [VOLTS * round(volts / VOLTS) for volts in condition[::2]]
 
 
 def _alone(plant: Plant, stroke: Stroke) -> _Key:

@@ -1,4 +1,4 @@
-"""What a fit leaves, and where: in which channel, and at which place of the motion."""
+"""Where in the motion a fit leaves most of what it leaves."""
 
 from __future__ import annotations
 

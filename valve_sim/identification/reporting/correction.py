@@ -12,8 +12,7 @@ from valve_sim.identification.diagnosis.outcome import Diagnosis
 from valve_sim.identification.fit.correction import Correction, is_curve
 from valve_sim.identification.fit.grades import Grade
 from valve_sim.identification.fit.intervals import Interval
-from valve_sim.identification.fit.left_out import VOLTS, Stroke
-from valve_sim.identification.fit.remains import Place
+from valve_sim.identification.fit.left_out import Stroke, levels_of
 from valve_sim.identification.plants.effect_titles import inside_sentence, named, named_value, title_of
 from valve_sim.identification.plants.hold_out import UnderConditions
 from valve_sim.identification.plants.protocol import READABLE_UNITS, primary_channels
@@ -106,26 +105,29 @@ def _left_words(diagnosis: Diagnosis, found: Correction) -> Iterator[str]:
         left = _beyond_noise(found)
         worst = _worst_channel(found)
         where = f", most of it in the {worst}" if len(found.channels) > 1 else ""
-        if found.place is not None:
-            where += f"{' and' if where else ', most of it'} {place_words(diagnosis, found.place)}"
+        if place := _place_words(diagnosis, found):
+            where += f"{' and' if where else ', most of it'} {place}"
         yield f"Something else is left: {quantity(left, _unit(diagnosis))} beyond the noise{where}."
     apart = [names for names in found.alternatives if not is_curve(names) and not set(found.names) < set(names)]
     others = [" + ".join(map(title_of, names)) or "nothing" for names in sorted(apart, key=len)]
     if others:
         yield f"These predict unseen strokes as well: {'; '.join(others[:3])}."
     if found.parts:
-        yield f"Holds for strokes like those recorded ({_range_of(found)}). Of other commands nothing is known."
+        beyond = "" if found.elsewhere else " Of other commands nothing is known."
+        yield f"Holds for strokes like those recorded ({_range_of(found)}).{beyond}"
     if found.elsewhere:
         pulse, unit = max(found.elsewhere, key=lambda own: own.spread), _unit(diagnosis)
         yield (
-            f"With {pulse.words}, which was not recorded, these differ by {quantity(pulse.spread, unit)}; "
-            f"the correction is {quantity(pulse.moved, unit)} there."
+            f"Not recorded: {pulse.words}. There the correction moves the response by {quantity(pulse.moved, unit)}, "
+            f"and corrections that predict unseen strokes as well differ from it by {quantity(pulse.spread, unit)}."
         )
 
 
-def place_words(diagnosis: Diagnosis, place: Place) -> str:
-    """A place of the motion: "at 0.5 to 0.7 mm, rising"."""
-    unit = _unit(diagnosis)
+def _place_words(diagnosis: Diagnosis, found: Correction) -> str:
+    """Where most is left: "at 0.5 to 0.7 mm, rising"; empty where no place stands out."""
+    place, unit = found.place, _unit(diagnosis)
+    if place is None:
+        return ""
     ends = f"{quantity(place.low, unit, 2)} to {quantity(place.high, unit, 2)}"
     return f"at {ends}, {'rising' if place.is_rising else 'falling'}"
 
@@ -145,7 +147,7 @@ def _remains_json(diagnosis: Diagnosis, found: Correction) -> dict[str, Any]:
     return {
         **in_unit("rms", scale * _beyond_noise(found), unit),
         "channel": _worst_channel(found) if found.channels else None,
-        "where": None if found.place is None else place_words(diagnosis, found.place),
+        "where": _place_words(diagnosis, found) or None,
     }
 
 
@@ -154,7 +156,7 @@ def _valid_for_json(diagnosis: Diagnosis, found: Correction) -> dict[str, Any]:
     plant, strokes = diagnosis.plant, [stroke for own in found.parts for stroke in own.strokes]
     volts: set[float] = set()
     if isinstance(plant, UnderConditions):
-        volts = {VOLTS * round(level / VOLTS) for stroke in strokes for level in plant.condition_of(*stroke)[::2]}
+        volts = {level for stroke in strokes for level in levels_of(plant.condition_of(*stroke))}
     return {
         "voltages": sorted(volts - {0.0}),
         "lifts": _lifts(diagnosis, strokes),
