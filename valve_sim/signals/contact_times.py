@@ -27,7 +27,7 @@ USUAL_SIGMA: Final = np.array([0.5, 0.5])
 """Speed and bend of that parabola in units of the last half of the way and of what that took, and how they vary."""
 FINEST: Final = 1e-9
 """m; noise that is assumed where there is none."""
-CURVED: Final = 0.4
+CURVED: Final = 0.25
 """Of the last half of the way: what a cubic term of the motion adds at its beginning."""
 
 

@@ -55,7 +55,7 @@ APART: Final = 6.0
 EVEN, SURELY = 0.5, 1e-3
 """Probabilities of being a measurement, below which a reading is weighted, and takes no part."""
 LEVELS: Final = (256.0, 64.0, 16.0, 4.0, 1.0)
-"""Of readings that stand apart, the farthest first, since fits follow them."""
+"""By how much readings that stand apart are farther off, in turn."""
 OFTEN: Final = 0.25
 """Share of the strokes in which readings stand apart where motion bends, above which it is the model that bends."""
 ELSEWHERE: Final = 4.0
@@ -270,6 +270,20 @@ class Problem:
         if takes_part is not None:
             weight = np.where(takes_part(index, channel.group), weight, 0.0)
         return weight
+
+
+def weigh_outliers(
+    problem: Problem, values: Mapping[str, float], again: Callable[[Problem], Mapping[str, float]]
+) -> None:
+    """Weigh the outliers of a problem, the farthest first, since a fit follows them.
+
+    Args:
+        values: of a fit to it. again: told a problem with other weights, fits to it; returns its values.
+    """
+    for level in LEVELS if problem.without_outliers(values) is not problem else ():
+        robust = problem.without_outliers(values, level)
+        if robust is not problem:
+            problem, values = robust, again(robust)
 
 
 def is_long(plant: Plant) -> bool:
