@@ -22,8 +22,7 @@ from valve_sim.identification.monitoring.memory import load_commissioning, save_
 from valve_sim.identification.monitoring.scores import Baseline
 from valve_sim.identification.monitoring.segmenter import StrokeSegmenter
 from valve_sim.identification.monitoring.stroke_monitor import StrokeMonitor, StrokeReport
-from valve_sim.identification.reporting.monitoring import stroke_json
-from valve_sim.identification.reporting.monitoring_words import told_finding
+from valve_sim.identification.reporting.monitoring import stroke_json, told_finding
 from valve_sim.model import ParameterError
 from valve_sim.nodes import topics
 from valve_sim.nodes.diagnostics import Level, Status

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -16,15 +16,19 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from valve_sim.files.whole_files import atomic_write
-from valve_sim.identification.fit.static_force import StaticForce
-from valve_sim.identification.plants.protocol import Array
-from valve_sim.identification.reporting.units import three_digits
-from valve_sim.identification.validation.replay import Replay
+from valve_sim.identification.diagnosis.outcome import Diagnosis
+from valve_sim.identification.reporting.claims import headline
+from valve_sim.identification.reporting.diagnosis import force_plots, stroke_plots
+from valve_sim.identification.reporting.document import Array, Curve, Document, Panel, Plot, Plots
+from valve_sim.identification.reporting.units import percent
 from valve_sim.model import Drive, Phase, Response, Valve, ValveError, published_times
 
 PILOT, MAIN, SECOND, QUIET = "#0b6fa4", "#d9730d", "#7b3fa0", "#8a8f98"
 """Colours that colour-blind readers can tell apart, also printed in grey."""
 _PHASE_NAMES: Final = {phase: phase.name.lower().replace("_", " ") for phase in Phase}
+_COLOURS: Final = {"measured": QUIET, "before": MAIN, "residual": MAIN}
+"""Of curves by name; of others `PILOT`."""
+PICTURED_STROKES: Final = 3
 _STYLE: Final = {"linewidth": 1.6}
 
 
@@ -94,6 +98,46 @@ def draw_simulation(response: Response, drive: Drive, valve: Valve, title: str) 
     return draw_response(response, drive, title, marks=marks, levels=levels)
 
 
+def draw_plots(plots: Sequence[Plot], title: str, *, columns: int = 3) -> Picture:
+    """Draw plots of a document beside each other, the panels of each below each other."""
+    rows = [plots[start : start + columns] for start in range(0, len(plots), columns)]
+    width = 10.0 if len(plots) == 1 else 4.6 * min(len(plots), columns) + 0.8
+    heights = [sum((3.8, 2.2, 2.2)[: len(row[0].panels)]) for row in rows]
+    figure = Picture(figsize=(width, sum(heights) + 0.6), layout="constrained")
+    figure.suptitle(title.replace("$", r"\$"), wrap=True)
+    for part, row in zip(
+        figure.subfigures(len(rows), 1, squeeze=False, height_ratios=heights)[:, 0], rows, strict=True
+    ):
+        panels = len(row[0].panels)
+        grid = part.subplots(panels, len(row), sharex="col", squeeze=False, height_ratios=(3, 2, 2)[:panels])
+        for axes, plot in zip(grid.T, row, strict=True):
+            if len(plots) > 1:
+                axes[0].set_title(plot.title.replace(": ", ":\n").replace("$", r"\$"), fontsize=9)
+            for one, panel in zip(axes, plot.panels, strict=True):
+                _draw_panel(one, panel, plot.x)
+            axes[-1].set_xlabel(plot.x_label)
+        if len(row[0].panels[0].curves) > 1:
+            grid[0, 0].legend(frameon=False)
+    return figure
+
+
+def save_plots(document: Document, path: Path) -> None:
+    """Draw the first plots of a document.
+
+    Raises:
+        ValveError: the picture cannot be written.
+    """
+    blocks = (block for section in document.sections for block in section.blocks)
+    plots = next(block for block in blocks if isinstance(block, Plots)).make()
+    save_figure(draw_plots(plots, plots[0].title), path)
+
+
+def draw_diagnosis(diagnosis: Diagnosis) -> Picture:
+    """Draw the strokes that the declared model misses most, their residuals, and the force maps."""
+    plots = [*stroke_plots(diagnosis, PICTURED_STROKES)[:PICTURED_STROKES], *force_plots(diagnosis)]
+    return draw_plots(plots, f"{headline(diagnosis)}\nProbability {percent(diagnosis.verdict.probability)}")
+
+
 def draw_residual(times: Array, values: Array, sigma: float, scale: float, unit: str, title: str) -> Picture:
     """Draw what a fit leaves, and the band of two standard deviations of the sensor's noise.
 
@@ -101,59 +145,22 @@ def draw_residual(times: Array, values: Array, sigma: float, scale: float, unit:
         times: (n,) s. values: (n,) measured less shown, SI. sigma: standard deviation of the noise, SI.
         scale, unit: from SI to the unit that is shown. title: one line.
     """
-    figure = Picture(figsize=(9.0, 3.2), layout="constrained")
-    axes = figure.subplots()
-    axes.axhspan(-2.0 * scale * sigma, 2.0 * scale * sigma, color=QUIET, alpha=0.3, label="±2σ of the sensor's noise")
-    axes.plot(1e3 * times, scale * values, color=PILOT, linewidth=0.8)
-    axes.set_ylabel(f"measured − model, {unit}")
-    axes.legend(loc="upper right", frameon=False)
-    _finish(figure, title, "time, ms")
-    return figure
+    band = np.full(len(times), 2.0 * scale * sigma)
+    panel = Panel(f"measured − model, {unit}", [Curve("after", scale * values)], -band, band)
+    return draw_plots([Plot(title, "", 1e3 * times, "time, ms", [panel])], title)
 
 
-def plot_replay(path: Path | str, replay: Replay) -> None:
-    """Draw measured and predicted displacement, current or pressure, and the residual beside the tolerance.
-
-    Raises:
-        ValveError: the picture cannot be written.
-    """
-    figure = Figure(figsize=(10.0, 6.0), layout="constrained")
-    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
-    scale, unit = replay.readable
-    times, measured = 1e3 * replay.measured.times, replay.measured.values
-    above.plot(times, scale * measured, color=QUIET, linewidth=2.6, label="measured")
-    above.plot(times, scale * replay.predicted, color=PILOT, linewidth=1.0, label="model")
-    above.set_ylabel(f"{replay.title}, {unit}")
-    above.legend(loc="upper right", frameon=False)
-    below.plot(times, scale * (measured - replay.predicted), color=MAIN, linewidth=0.7)
-    for sign in (-1.0, 1.0):
-        below.axhline(sign * scale * replay.tolerance, color=QUIET, linestyle="--", linewidth=0.8)
-    below.set_ylabel(f"measured − model, {unit}")
-    verdict = "within" if replay.passed else "outside"
-    title = f"{replay.source}: {verdict} {three_digits(scale * replay.tolerance)} {unit} (dashed)"
-    _finish(figure, title, "time, ms")
-    save_figure(figure, Path(path))
-
-
-def plot_static_force(path: Path | str, fitted: StaticForce) -> None:
-    """Draw the measured force, the polynomial through it, and the residuals.
-
-    Raises:
-        ValveError: the picture cannot be written.
-    """
-    figure = Figure(figsize=(8.0, 6.0), layout="constrained")
-    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
-    order = np.argsort(fitted.displacement)
-    x = 1e6 * fitted.displacement[order]
-    above.plot(x, fitted.force[order], "o", color=QUIET, markersize=3.5, label="measured")
-    above.plot(x, fitted.predicted[order], color=PILOT, label="polynomial", **_STYLE)
-    above.set_ylabel(f"attraction at {fitted.voltage:g} V, N")
-    above.legend(loc="upper left", frameon=False)
-    below.plot(x, (fitted.force - fitted.predicted)[order], "o", color=MAIN, markersize=3.5)
-    below.axhline(0.0, color=QUIET, linewidth=0.8)
-    below.set_ylabel("measured − polynomial, N")
-    _finish(figure, f"{fitted.source}: residual {fitted.rmse:.3g} N rms", "displacement, µm")
-    save_figure(figure, Path(path))
+def _draw_panel(axes: Axes, panel: Panel, x: Array) -> None:
+    for curve in panel.curves:
+        colour, width = _COLOURS.get(curve.name, PILOT), 2.8 if curve.name == "measured" else 1.2
+        style = {"marker": "o", "markersize": 3.5, "linewidth": 0.0} if curve.has_dots else {"linewidth": width}
+        axes.plot(x, curve.y, color=colour, label=curve.name, **style)
+    if panel.low is not None and panel.high is not None:
+        axes.fill_between(x, panel.low, panel.high, color=PILOT, alpha=0.12, linewidth=0)
+    if panel.has_zero:
+        axes.axhline(0.0, color=QUIET, linewidth=0.8)
+    axes.set_ylabel(panel.label)
+    axes.spines[["top", "right"]].set_visible(False)
 
 
 def _draw_voltage(axes: Axes, drive: Drive, times: Array) -> None:

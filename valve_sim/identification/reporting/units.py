@@ -61,9 +61,21 @@ def quantity(value: float, unit: str, digits: int = 3) -> str:
     return f"{_short(scale * value, digits)} {name}".rstrip()
 
 
+def percent(probability: float) -> str:
+    """A probability in percent; never 0 or 100."""
+    if probability >= 0.995:
+        return "> 99 %"
+    return f"{100 * probability:.0f} %" if probability >= 0.005 else "< 1 %"
+
+
 def three_digits(value: float) -> str:
     """With trailing zeros, 1.00, so that columns can be compared; – where it is not known."""
     return "–" if math.isnan(value) else _short(value, 3)
+
+
+def change(before: float, after: float, unit: str) -> str:
+    """Of an error in this unit: 1.20 → 1.00 µm."""
+    return f"{three_digits(before)} → {three_digits(after)} {unit}"
 
 
 def in_unit(name: str, value: Any, unit: str) -> dict[str, Any]:
