@@ -256,7 +256,8 @@ def test_any_text_as_a_name_leaves_the_page_as_it_is(parts: list[str]) -> None:
     unsure, expected = harmless()
     found = named_page(unsure, "".join(parts) or "valve")
     assert found.elements == expected.elements and found.handlers == []
-    assert json.loads(found.scripts[0]).keys() == json.loads(expected.scripts[0]).keys()
+    shapes = [[[*plot] for plot in json.loads(page.scripts[0])] for page in (found, expected)]
+    assert shapes[0] == shapes[1]
     assert found.scripts[1:] == expected.scripts[1:]
 
 

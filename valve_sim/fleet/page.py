@@ -17,22 +17,7 @@ from valve_sim.fleet.columns import BEFORE
 from valve_sim.fleet.trends import FALSE_ALARMS, FEWEST, Drift, Series, drifts, effects_of, series_of
 from valve_sim.fleet.units import EXAMINED, Row
 from valve_sim.identification.plants.effect_titles import named
-from valve_sim.identification.reporting.document import (
-    Block,
-    Curve,
-    Document,
-    Fold,
-    Items,
-    Pairs,
-    Panel,
-    Plot,
-    Plots,
-    Section,
-    Spark,
-    Table,
-    Words,
-)
-from valve_sim.identification.reporting.document import Row as RowOfTable
+from valve_sim.identification.reporting import document as doc
 from valve_sim.identification.reporting.page import write_page as write_document
 from valve_sim.identification.reporting.units import quantity, readable
 
@@ -89,7 +74,7 @@ def write_page(rows: Sequence[Row], path: Path) -> list[str]:
     return drifting
 
 
-def fleet_document(rows: Sequence[Row]) -> tuple[Document, list[str]]:
+def fleet_document(rows: Sequence[Row]) -> tuple[doc.Document, list[str]]:
     """The page of a fleet, and the valves that drift, in words."""
     series, effects = series_of(rows), effects_of(rows)
     drifting: dict[str, list[Drift]] = defaultdict(list)
@@ -103,21 +88,23 @@ def fleet_document(rows: Sequence[Row]) -> tuple[Document, list[str]]:
     valves = [_valve(name, by_valve[name], (series[name], effects[name]), drifting.get(name, [])) for name in names]
     refused = sorted((row for row in rows if row["state"] != EXAMINED), key=lambda row: str(row["source"]))
     hint = "A row unfolds: trends with their 95 % intervals, and the report of each bag in which something is wrong."
-    shown = [
-        RowOfTable((row["source"], row["state"], row["error"]), row["valve"] or "") for row in refused[:MOST_LISTED]
-    ]
+    shown = [doc.Row((row["source"], row["state"], row["error"]), row["valve"] or "") for row in refused[:MOST_LISTED]]
     more = max(0, len(refused) - MOST_LISTED)
-    also = [Words(f"And {more} more, which fleet.parquet lists.", style="soft")] if more else []
-    made = [(term, words.format(sum(map(len, series.values())), FEWEST, 100.0 * FALSE_ALARMS)) for term, words in MADE]
+    also = [doc.Words(f"And {more} more, which fleet.parquet lists.", style="soft")] if more else []
+    bags = doc.Table(("bag", "state", "why"), shown)
+    made = [("Made by", f"valve_sim {__version__}")]
+    made += [(term, words.format(sum(map(len, series.values())), FEWEST, 100.0 * FALSE_ALARMS)) for term, words in MADE]
     sections = [
-        Section("", [Words(_counts(rows), style="soft")]),
-        Section("Valves, what is wrong first", [Words(hint, style="soft"), *valves]),
-        Section("Bags without a result, and why", [Table(("bag", "state", "why"), shown), *also] if refused else []),
-        Section("How this was made", [Pairs([("Made by", f"valve_sim {__version__}"), *made])]),
+        doc.Section("", [doc.Words(_counts(rows), style="soft")]),
+        doc.Section("Valves, what is wrong first", [doc.Words(hint, style="soft"), *valves]),
+        doc.Section(
+            "Bags without a result, and why", [doc.Table(("bag", "state", "why"), shown), *also] if refused else []
+        ),
+        doc.Section("How this was made", [doc.Table(("", ""), [doc.Row(row) for row in made])]),
     ]
     headline = _headline(len(drifting), len(valves), len(refused))
     told = [f"{name}: {_drift_words(drifting[name][0])}" for name in names if drifting.get(name)]
-    return Document("Fleet", sections, headline, "", "fleet", _many(len(valves), "valve"), not drifting), told
+    return doc.Document("Fleet", sections, headline, "", "fleet", _many(len(valves), "valve"), not drifting), told
 
 
 def _headline(drifting: int, valves: int, refused: int) -> str:
@@ -154,7 +141,7 @@ def _time(row: Row) -> tuple[Any, ...]:
 
 def _valve(
     name: str, rows: Sequence[Row], series: tuple[Sequence[Series], Sequence[Series]], drifting: Sequence[Drift]
-) -> Fold:
+) -> doc.Fold:
     """A valve's row; `series`: what is followed, and the effects that were named."""
     ordered = sorted(rows, key=_time, reverse=True)
     wrong = [row for row in ordered if _is_wrong(row)]
@@ -162,11 +149,11 @@ def _valve(
     followed = [one for one in series[0] if one.quantity.name in drift_of or one.quantity.name in FOLLOWED]
     drawn = sorted([*followed, *series[1]], key=lambda one: _place(one, drift_of))
     told = [_drift_words(drift) for drift in drifting]
-    bags = Table(
+    bags = doc.Table(
         ("bag", "result"),
         [
             # A name in a URL's path: whatever it holds, it leads nowhere else.
-            RowOfTable(
+            doc.Row(
                 (_date(row["start_time"]), f"{_state([row])}: {row['summary']}"),
                 row["source"],
                 link=quote(row["report"] or ""),
@@ -175,11 +162,11 @@ def _valve(
         ],
         FIRST_LISTED,
     )
-    blocks: list[Block] = [Items(told)] if len(told) > 1 else []
-    blocks.append(Plots(lambda: [_plot(one, drift_of.get(one.quantity.name)) for one in drawn], is_small=True))
+    blocks: list[doc.Block] = [doc.Items(told)] if len(told) > 1 else []
+    blocks.append(doc.Plots(lambda: [_plot(one, drift_of.get(one.quantity.name)) for one in drawn], is_small=True))
     last = "Last bag: " if drifting or _is_wrong(ordered[0]) else ""
-    trend = Spark(drawn[0].days, drawn[0].values, "time") if drawn else Spark(np.empty(0), np.empty(0), "time")
-    return Fold(
+    trend = doc.Spark(drawn[0].days, drawn[0].values, "time") if drawn else doc.Spark(np.empty(0), np.empty(0), "time")
+    return doc.Fold(
         name,
         f"Drifts: {told[0]}." if told else "",
         f"{last}{_state(ordered)}. {_many(len(rows), 'bag')}",
@@ -230,15 +217,15 @@ def _date(nanoseconds: int) -> str:
     return datetime.fromtimestamp(nanoseconds / 1e9, timezone.utc).strftime("%Y-%m-%d %H:%M")
 
 
-def _plot(series: Series, drift: Drift | None) -> Plot:
+def _plot(series: Series, drift: Drift | None) -> doc.Plot:
     """Values over the days after the first, their 95 % interval, and the line of a drift, in a readable unit."""
     chosen = np.unique(np.linspace(0, len(series.values) - 1, MOST_DRAWN).astype(np.intp))
     days, values, errors = series.days[chosen] - series.days[0], series.values[chosen], series.errors[chosen]
     scale, unit = readable(series.quantity.unit, float(np.median(np.abs(values))))
-    curves = [Curve("after", scale * values, has_dots=True)]
+    curves = [doc.Curve("after", scale * values, has_dots=True)]
     if drift is not None:
-        curves.append(Curve("before", scale * (np.median(values - drift.slope * days) + drift.slope * days)))
+        curves.append(doc.Curve("before", scale * (np.median(values - drift.slope * days) + drift.slope * days)))
     name, half = _title(series.quantity.name), 1.96 * errors
     label = f"{name}, {unit}" if unit else name
-    panel = Panel(label, curves, scale * (values - half), scale * (values + half))
-    return Plot(name, "", days, f"days after {_date(int(series.days[0] * 86400e9))}", [panel])
+    panel = doc.Panel(label, curves, scale * (values - half), scale * (values + half))
+    return doc.Plot(name, "", days, f"days after {_date(int(series.days[0] * 86400e9))}", [panel])

@@ -11,41 +11,17 @@ from pathlib import Path
 from typing import Any, Final
 
 from valve_sim import __version__
+from valve_sim.identification.diagnosis.followed_positions import follows_positions
 from valve_sim.identification.diagnosis.outcome import Candidate, Diagnosis, State
 from valve_sim.identification.fit.intervals import Interval
-from valve_sim.identification.fit.noise import Noise
 from valve_sim.identification.plants.effect_titles import named, named_value, title_of, titles_of
 from valve_sim.identification.plants.own import OwnPlant
 from valve_sim.identification.plants.protocol import Channel, Plant, primary_channels
 from valve_sim.identification.plants.tolerances import GROUP
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.reporting.claims import (
-    certainty,
-    choice_words,
-    grounds,
-    headline,
-    holdout_words,
-    is_inside,
-    meanings,
-    recording_advice,
-    rounding_words,
-    summarise,
-    unseen_noise_words,
-)
+from valve_sim.identification.reporting import claims, values
+from valve_sim.identification.reporting import document as doc
 from valve_sim.identification.reporting.correction import correction_section
-from valve_sim.identification.reporting.document import (
-    Block,
-    Commands,
-    Document,
-    Items,
-    Pairs,
-    Plot,
-    Plots,
-    Row,
-    Section,
-    Table,
-    Words,
-)
 from valve_sim.identification.reporting.force_curves import Motion, force_curve, motion_of, unexplained_json
 from valve_sim.identification.reporting.record_next import profile_of, typed_commands, typed_option
 from valve_sim.identification.reporting.recording_state import limits_table, recording_section
@@ -58,14 +34,6 @@ from valve_sim.identification.reporting.units import (
     percent,
     quantity,
     three_digits,
-)
-from valve_sim.identification.reporting.values import (
-    declared_section,
-    interval_json,
-    intervals_json,
-    is_stand_in,
-    plain_name,
-    value_rows,
 )
 
 SHOWN_STROKES: Final = 6
@@ -107,7 +75,7 @@ OUTDONE: Final = (
 
 def diagnosis_document(
     diagnosis: Diagnosis, folder: Path | None = None, options: str = "", provenance: str = ""
-) -> Document:
+) -> doc.Document:
     """All that is said of a diagnosis.
 
     Errors are in `unit`, the one in which people read the response: µm of a position, mA of a current, N of a force. Of
@@ -120,7 +88,7 @@ def diagnosis_document(
         provenance: how it was made.
     """
     verdict, fit = diagnosis.verdict, diagnosis.before.fit
-    status, is_sure = certainty(verdict)
+    status, is_sure = claims.certainty(verdict)
     noise, unit = fit.problem.noise.sigma, diagnosis.plant.channels[primary_channels(diagnosis.plant)[0]].unit
     is_bare = verdict.kind == "partly" or (verdict.kind == "insufficient" and verdict.is_cut_short)
     sections = [
@@ -133,24 +101,24 @@ def diagnosis_document(
         _followed(diagnosis),
         _forces(diagnosis),
         _tried(diagnosis),
-        declared_section(diagnosis.declared, is_valve=isinstance(diagnosis.plant, ValvePlant)),
+        values.declared_section(diagnosis.declared, is_valve=isinstance(diagnosis.plant, ValvePlant)),
         recording_section(diagnosis.recording, noise, unit, is_unknown=verdict.kind == "unknown"),
         _use(diagnosis, folder, options, is_sure=is_sure),
         _made(diagnosis, provenance),
     ]
     chance = "" if is_bare else f"probability {percent(verdict.probability)}"
-    return Document("Diagnosis", sections, headline(diagnosis), verdict.kind, status, chance, is_sure)
+    return doc.Document("Diagnosis", sections, claims.headline(diagnosis), verdict.kind, status, chance, is_sure)
 
 
 def _response(diagnosis: Diagnosis) -> Channel:
     return diagnosis.plant.channels[primary_channels(diagnosis.plant)[0]]
 
 
-def _verdict(diagnosis: Diagnosis) -> Section:
+def _verdict(diagnosis: Diagnosis) -> doc.Section:
     """The verdict beside the headline, and what the errors come to."""
     verdict, before, after = diagnosis.verdict, diagnosis.before, diagnosis.after
     scale, unit = _response(diagnosis).readable
-    unseen = unseen_noise_words(diagnosis)
+    unseen = claims.unseen_noise_words(diagnosis)
 
     def told(name: str) -> str:
         first, last = (scale * getattr(state, name) for state in (before, after))
@@ -161,15 +129,16 @@ def _verdict(diagnosis: Diagnosis) -> Section:
     sigma = three_digits(scale * before.fit.problem.noises[_response(diagnosis).kind].sigma)
     least = f"{'The best model leaves' if unseen else 'The noise of the sensor is'} {sigma} {unit}."
     errors = f"Root-mean-square error, {model}: {told('train_rmse')} on fitted data{held_out}. {least}"
-    remarks = (rounding_words(diagnosis), unseen, *grounds(diagnosis))
-    untried = [Items(diagnosis.untried, f"{len(diagnosis.untried)} sets that were left untried", on="page")]
-    return Section(
+    chosen = claims.choice_words(diagnosis), claims.holdout_words(diagnosis)
+    remarks = (claims.rounding_words(diagnosis), unseen, *claims.grounds(diagnosis))
+    untried = [doc.Items(diagnosis.untried, f"{len(diagnosis.untried)} sets that were left untried", on="page")]
+    return doc.Section(
         "",
         [
-            Words(errors, style="soft"),
-            *(Words(words) for words in remarks if words and words != recording_advice(diagnosis)),
+            doc.Words(errors, style="soft"),
+            *(doc.Words(words) for words in remarks if words and words != claims.recording_advice(diagnosis)),
             *(untried if diagnosis.untried else []),
-            *(Words(words, on="terminal") for words in (choice_words(diagnosis), holdout_words(diagnosis)) if words),
+            *(doc.Words(words, on="terminal") for words in chosen if words),
         ],
         {
             "schema": "valve_sim/diagnosis/3",
@@ -185,8 +154,8 @@ def _verdict(diagnosis: Diagnosis) -> Section:
                 "share": verdict.share,
                 "ended": "budget" if verdict.is_cut_short else None,
                 "worth": {name: worth._asdict() for name, worth in verdict.worth.items()},
-                "summary": summarise(diagnosis),
-                "headline": headline(diagnosis),
+                "summary": claims.summarise(diagnosis),
+                "headline": claims.headline(diagnosis),
             },
             "untried": list(diagnosis.untried),
             "work": {"strokes": diagnosis.work, "allowed": diagnosis.allowed},
@@ -196,17 +165,17 @@ def _verdict(diagnosis: Diagnosis) -> Section:
     )
 
 
-def _meaning(diagnosis: Diagnosis, *, is_sure: bool) -> Section:
-    told = meanings(diagnosis)
+def _meaning(diagnosis: Diagnosis, *, is_sure: bool) -> doc.Section:
+    told = claims.meanings(diagnosis)
     title = "What it means" if is_sure else "What it would mean"
-    return Section(title, [one.entry() for one in told], {"meaning": {one.name: one.to_json() for one in told}})
+    return doc.Section(title, [one.entry() for one in told], {"meaning": {one.name: one.to_json() for one in told}})
 
 
-def _record_next(diagnosis: Diagnosis, folder: Path | None, options: str) -> Section:
+def _record_next(diagnosis: Diagnosis, folder: Path | None, options: str) -> doc.Section:
     """What to record next, what that is expected to show, and the commands."""
-    advice, best = recording_advice(diagnosis), diagnosis.recommendation
+    advice, best = claims.recording_advice(diagnosis), diagnosis.recommendation
     fields: dict[str, Any] = {"record_next": advice or None, "record_next_gain": None}
-    blocks: list[Block] = [Words(advice)] if advice else []
+    blocks: list[doc.Block] = [doc.Words(advice)] if advice else []
     if best is not None:
         fields["record_next_gain"] = {
             "experiment": best.experiment.words,
@@ -219,7 +188,7 @@ def _record_next(diagnosis: Diagnosis, folder: Path | None, options: str) -> Sec
         ]
         if advice:
             expected = "What this recording is expected to show, all else refitted:"
-            blocks += [Words(expected, on="page"), Items(pairs, on="page")]
+            blocks += [doc.Words(expected, on="page"), doc.Items(pairs, on="page")]
     if advice and isinstance(diagnosis.plant, ValvePlant):
         drive = profile_of(diagnosis)
         care = (
@@ -227,15 +196,15 @@ def _record_next(diagnosis: Diagnosis, folder: Path | None, options: str) -> Sec
         )
         file = (folder or Path()) / "record_next.yaml"
         simulate, command = typed_commands(drive, file, options, "expected.csv")
-        blocks += [Words(f"{care} your coil.", on="page"), Commands([simulate, command])]
-    return Section("What to record next", blocks, fields)
+        blocks += [doc.Words(f"{care} your coil.", on="page"), doc.Commands([simulate, command])]
+    return doc.Section("What to record next", blocks, fields)
 
 
-def _before_and_after(diagnosis: Diagnosis) -> Section:
+def _before_and_after(diagnosis: Diagnosis) -> doc.Section:
     """Errors and values of the refitted declared model and of the corrected one."""
     verdict, before, after = diagnosis.verdict, diagnosis.before, diagnosis.after
     scale, unit = _response(diagnosis).readable
-    unseen = unseen_noise_words(diagnosis)
+    unseen = claims.unseen_noise_words(diagnosis)
     states = (before, after) if verdict.is_corrected else (before,)
 
     def number(size: float) -> str:
@@ -251,19 +220,19 @@ def _before_and_after(diagnosis: Diagnosis) -> Section:
         "χ² per sample": [f"{state.fit.chi2 / state.fit.problem.effective_samples:.4g}" for state in states],
     }
     models = ("declared model, refitted", "corrected model")[: len(states)]
-    rows = [Row((label, *cells, "")) for label, cells in lines.items()]
-    table = Table(("", *models, "95 % interval"), [*rows, *value_rows(diagnosis)], is_by_name=True)
+    rows = [doc.Row((label, *cells, "")) for label, cells in lines.items()]
+    table = doc.Table(("", *models, "95 % interval"), [*rows, *values.value_rows(diagnosis)], is_by_name=True)
     doubt = "These are values of the declared model by itself, which what is missing distorts."
-    distorted = [Words(doubt, style="doubt")] if verdict.kind == "unknown" else []
+    distorted = [doc.Words(doubt, style="doubt")] if verdict.kind == "unknown" else []
     corrected = {**_state_json(after, scale, unit), "effects": _effects_json(diagnosis)}
-    return Section(
+    return doc.Section(
         "Before and after" if verdict.is_corrected else "The refitted model",
         [*distorted, table, *_nearest(diagnosis)],
         {"before": _state_json(before, scale, unit), "after": corrected if verdict.is_corrected else None},
     )
 
 
-def _nearest(diagnosis: Diagnosis) -> Iterator[Block]:
+def _nearest(diagnosis: Diagnosis) -> Iterator[doc.Block]:
     """What the nearest names, which are not claimed, would come to beside something unnamed."""
     verdict, unit = diagnosis.verdict, _response(diagnosis).unit
     nearest = next((one for one in diagnosis.candidates if set(one.effects) == set(verdict.effects)), None)
@@ -271,11 +240,11 @@ def _nearest(diagnosis: Diagnosis) -> Iterator[Block]:
         return
     held_out = "" if math.isnan(nearest.holdout_rmse) else f", {quantity(nearest.holdout_rmse, unit)} held out"
     error = f"rms error {quantity(nearest.train_rmse, unit)} fitted{held_out}"
-    yield Words(f"With {named(verdict.effects)}, which is not claimed, {error}:")
+    yield doc.Words(f"With {named(verdict.effects)}, which is not claimed, {error}:")
     told = ((name, one, *named_value(diagnosis.plant, name)) for name, one in nearest.intervals.items())
-    yield Table(
+    yield doc.Table(
         ("value", "with them"),
-        [Row((words, measured(one, unit)), name) for name, one, words, unit in told],
+        [doc.Row((words, measured(one, unit)), name) for name, one, words, unit in told],
         is_by_name=True,
     )
 
@@ -289,7 +258,7 @@ def _whiteness(state: State) -> str:
 def _state_json(state: State, scale: float, unit: str) -> dict[str, Any]:
     predicted = {"train": scale * state.train_predicted, "holdout": scale * state.holdout_predicted}
     return {
-        "parameters": intervals_json({name: one for name, one in state.intervals.items() if "." not in name}),
+        "parameters": values.intervals_json({name: one for name, one in state.intervals.items() if "." not in name}),
         **in_unit("rmse", {"train": scale * state.train_rmse, "holdout": scale * state.holdout_rmse}, unit),
         **in_unit("predicted", predicted, unit),
         "white": state.adequacy.is_white,
@@ -304,8 +273,8 @@ def _effects_json(diagnosis: Diagnosis) -> dict[str, dict[str, Any]]:
     effects: dict[str, dict[str, Any]] = {}
 
     def entry(name: str, interval: Interval) -> dict[str, Any]:
-        bare = {"stderr": None, "ci95": [None, None]} if is_stand_in(diagnosis, name) and "." in name else {}
-        return {**interval_json(interval), "was": plant.declared(name), **bare}
+        bare = {"stderr": None, "ci95": [None, None]} if values.is_stand_in(diagnosis, name) and "." in name else {}
+        return {**values.interval_json(interval), "was": plant.declared(name), **bare}
 
     for wrong in plant.effects.values():
         names = wrong.free_names() if wrong.is_declared_value else ()
@@ -325,79 +294,81 @@ def _effects_json(diagnosis: Diagnosis) -> dict[str, dict[str, Any]]:
 # --- what is drawn --------------------------------------------------------------------------------------------------
 
 
-def stroke_plots(diagnosis: Diagnosis, most: int = SHOWN_STROKES) -> list[Plot]:
+def stroke_plots(diagnosis: Diagnosis, most: int = SHOWN_STROKES) -> list[doc.Plot]:
     """Strokes of the response, of which the declared model misses those first that are within `most`; then others."""
     judged, others = worst_first(diagnosis, most)
     return [stroke.plot() for stroke in (*judged, *others)]
 
 
-def force_plots(diagnosis: Diagnosis, motion: Motion | None = None) -> list[Plot]:
+def force_plots(diagnosis: Diagnosis, motion: Motion | None = None) -> list[doc.Plot]:
     """The force maps, restricted to the range that the data visited."""
     if diagnosis.maps and motion is None:
         motion = motion_of(diagnosis)
     return [] if motion is None else [force_curve(entry, motion).plot() for entry in diagnosis.maps]
 
 
-def _strokes(diagnosis: Diagnosis) -> Section:
-    plots = Plots(functools.partial(stroke_plots, diagnosis), SHOWN_STROKES, LEGEND)
-    return Section("Measured against model", [plots, Words(BAND, style="soft")], on="page")
+def _strokes(diagnosis: Diagnosis) -> doc.Section:
+    plots = doc.Plots(functools.partial(stroke_plots, diagnosis), SHOWN_STROKES, LEGEND)
+    return doc.Section("Measured against model", [plots, doc.Words(BAND, style="soft")], on="page")
 
 
-def _followed(diagnosis: Diagnosis) -> Section:
-    plant = diagnosis.plant
-    has_any = isinstance(plant, ValvePlant) and any(trace.pilot_position is None for trace in plant.traces)
+def _followed(diagnosis: Diagnosis) -> doc.Section:
+    fits = [fit for fit in (diagnosis.after.fit, diagnosis.after.holdout) if fit is not None]
+    has_any = any(follows_positions(fit.problem.plant) for fit in fits)
     followed = functools.cache(lambda: strokes_followed(diagnosis) if has_any else [])
-    plots = Plots(lambda: [stroke.plot() for stroke in followed()[:SHOWN_STROKES]], is_small=True)
-    return Section(
+    plots = doc.Plots(lambda: [stroke.plot() for stroke in followed()[:SHOWN_STROKES]], is_small=True)
+    return doc.Section(
         "The position that follows from the current",
-        [Words(FOLLOWED, style="soft"), plots] if has_any else [],
+        [doc.Words(FOLLOWED, style="soft"), plots] if has_any else [],
         {"position_from_current": lambda: [stroke.to_json() for stroke in followed()]},
         on="page",
     )
 
 
-def _forces(diagnosis: Diagnosis) -> Section:
+def _forces(diagnosis: Diagnosis) -> doc.Section:
     """What the residual looks like as a force over each variable, and what is left without a name."""
     motion, left = functools.cache(lambda: motion_of(diagnosis)), diagnosis.unexplained
     fields = {
         "unexplained": lambda: None if left is None else unexplained_json(left, motion()),
         "force_maps": lambda: [unexplained_json(entry, motion()) for entry in diagnosis.maps],
     }
-    blocks: list[Block] = []
+    blocks: list[doc.Block] = []
     if diagnosis.maps:
-        plots = Plots(lambda: force_plots(diagnosis, motion()), is_small=True)
-        blocks = [Words(FORCES, style="soft"), plots]
+        plots = doc.Plots(lambda: force_plots(diagnosis, motion()), is_small=True)
+        blocks = [doc.Words(FORCES, style="soft"), plots]
     elif not diagnosis.before.adequacy.is_white and diagnosis.verdict.effects:
-        blocks = [Words(OUTDONE, style="soft")]
+        blocks = [doc.Words(OUTDONE, style="soft")]
     if left is not None:
         curve = force_curve(left, motion())
         told = f"a force of {quantity(curve.rms, 'N')} rms while it moves, strongest at {curve.where}."
-        blocks.append(Words(told, lead="Left without a name"))
-    return Section("What the residual looks like as a force", blocks, fields, on="page")
+        blocks.append(doc.Words(told, lead="Left without a name"))
+    return doc.Section("What the residual looks like as a force", blocks, fields, on="page")
 
 
 # --- what was tried -------------------------------------------------------------------------------------------------
 
 
-def _tried(diagnosis: Diagnosis) -> Section:
+def _tried(diagnosis: Diagnosis) -> doc.Section:
     """The sets that were fitted, how probable each effect is, and what would have been named."""
     plant, limits = diagnosis.plant, diagnosis.detection_limits
     head = ("what is missing", "probability", "beside something unnamed", "ln evidence", "rms, fitted", "rms, held out")
     rows = [_declared_row(diagnosis), *(_candidate_row(candidate, diagnosis) for candidate in diagnosis.candidates)]
-    tried = Table((*head, "values"), rows, SHOWN_CANDIDATES, is_sorted_on_click=True, on="page")
+    tried = doc.Table((*head, "values"), rows, SHOWN_CANDIDATES, is_sorted_on_click=True, on="page")
     ordered = sorted(diagnosis.inclusion.items(), key=lambda entry: -entry[1])
     likely = [
-        Row((title_of(name), percent(share))) for name, share in ordered[:SHOWN_CANDIDATES] if share >= LEAST_SHOWN
+        doc.Row((title_of(name), percent(share))) for name, share in ordered[:SHOWN_CANDIDATES] if share >= LEAST_SHOWN
     ]
-    blocks: list[Block] = [Words(TRIED, style="soft", on="page"), tried]
+    blocks: list[doc.Block] = [doc.Words(TRIED, style="soft", on="page"), tried]
     if not diagnosis.candidates and not diagnosis.verdict.is_cut_short:
-        blocks.append(Words("No effect was fitted: the score test finds none that would gain evidence.", style="soft"))
+        blocks.append(
+            doc.Words("No effect was fitted: the score test finds none that would gain evidence.", style="soft")
+        )
     if likely:
-        blocks.append(Table(("each effect, whatever acts beside it", "probability"), likely, on="page"))
+        blocks.append(doc.Table(("each effect, whatever acts beside it", "probability"), likely, on="page"))
     if limits:
         table = limits_table(plant, limits, head=("an effect that acts alone", "named in half of such recordings from"))
         blocks.append(table)
-    return Section(
+    return doc.Section(
         "What was tried",
         blocks,
         {
@@ -408,26 +379,26 @@ def _tried(diagnosis: Diagnosis) -> Section:
     )
 
 
-def _declared_row(diagnosis: Diagnosis) -> Row:
+def _declared_row(diagnosis: Diagnosis) -> doc.Row:
     verdict, before, (scale, unit) = diagnosis.verdict, diagnosis.before, _response(diagnosis).readable
     errors = (_number(scale * size, unit) for size in (before.train_rmse, before.holdout_rmse))
     probability = percent(verdict.probability) if verdict.kind == "none" else "–"
     title = "nothing: the declared model, refitted"
-    return Row((title, probability, "–", "0", *errors, ""), is_marked=verdict.kind == "none")
+    return doc.Row((title, probability, "–", "0", *errors, ""), is_marked=verdict.kind == "none")
 
 
-def _candidate_row(candidate: Candidate, diagnosis: Diagnosis) -> Row:
+def _candidate_row(candidate: Candidate, diagnosis: Diagnosis) -> doc.Row:
     plant, (scale, unit) = diagnosis.plant, _response(diagnosis).readable
-    known = [plant.effects[effect] for effect in candidate.effects if effect in plant.effects]
-    freed = {name for effect in known for name in effect.free_names()}
-    values = [
-        # By name: a description, such as "C in −C v |v|", does not fit beside a number.
-        f"{(name.partition('.')[2] or plain_name(name)).translate(_SPACES)} {_value_words(plant, name, interval.value)}"
+    chosen = [plant.effects[effect] for effect in candidate.effects if effect in plant.effects]
+    freed = {name for effect in chosen for name in effect.free_names()}
+    # By name: a description, such as "C in −C v |v|", does not fit beside a number.
+    told = [
+        f"{_short_name(name)} {_value_words(plant, name, interval.value)}"
         for name, interval in candidate.intervals.items()
         if ("." in name or name in freed) and not name.startswith("force_map.")
     ]
     is_chosen = set(candidate.effects) == set(diagnosis.verdict.effects)
-    return Row(
+    return doc.Row(
         (
             titles_of(candidate.effects) + (" with errors of the commands' stamps" if candidate.timing else ""),
             percent(candidate.probability),
@@ -435,7 +406,7 @@ def _candidate_row(candidate: Candidate, diagnosis: Diagnosis) -> Row:
             gain_words(-0.5 * candidate.delta_bic),
             _number(scale * candidate.train_rmse, unit),
             _number(scale * candidate.holdout_rmse, unit),
-            "; ".join(values),
+            "; ".join(told),
         ),
         " + ".join(candidate.effects),
         # With and without errors of the stamps are two candidates.
@@ -455,20 +426,24 @@ def _candidate_json(candidate: Candidate, diagnosis: Diagnosis) -> dict[str, Any
         "log_evidence": candidate.log_evidence,
         "delta_bic": candidate.delta_bic,
         **in_unit("rmse", errors, unit),
-        "parameters": intervals_json(candidate.intervals),
+        "parameters": values.intervals_json(candidate.intervals),
     }
+
+
+def _short_name(name: str) -> str:
+    return (name.partition(".")[2] or values.plain_name(name)).translate(_SPACES)
 
 
 def _value_words(plant: Plant, name: str, value: float) -> str:
     """A value with its unit; of one at which the search ended, that the data do not say it."""
     parameter = plant.parameter(name)
-    return quantity(value, parameter.unit) if is_inside(value, parameter) else "not determined"
+    return quantity(value, parameter.unit) if claims.is_inside(value, parameter) else "not determined"
 
 
 # --- what to do with it ---------------------------------------------------------------------------------------------
 
 
-def _use(diagnosis: Diagnosis, folder: Path | None, options: str, *, is_sure: bool) -> Section:
+def _use(diagnosis: Diagnosis, folder: Path | None, options: str, *, is_sure: bool) -> doc.Section:
     """Commands that check the corrected model and start it."""
     plant, file = diagnosis.plant, shlex.quote(str((folder or Path()) / "corrected.yaml"))
     source = typed_option(options, "--map") + typed_option(options, "--valve")
@@ -483,39 +458,32 @@ def _use(diagnosis: Diagnosis, folder: Path | None, options: str, *, is_sure: bo
     elif isinstance(plant, OwnPlant):
         lines, kind = [f"valve-sim validate ANOTHER_RECORDING --plant {file}{source}"], "a plant file"
     else:
-        return Section()
+        return doc.Section()
     values = "these values" if diagnosis.after.intervals else "the declared values"
     what = (
         f"corrected.yaml, beside this page, is {kind} with {values}. Check it against a recording that was not used "
         "here, and start it, in the folder where this diagnosis was made:"
     )
-    doubt = [] if is_sure else [Words("The verdict is not sure: check first, and record more.", style="doubt")]
-    return Section("How to use the corrected model", [Words(what), Commands(lines), *doubt], on="page")
+    doubt = [] if is_sure else [doc.Words("The verdict is not sure: check first, and record more.", style="doubt")]
+    return doc.Section("How to use the corrected model", [doc.Words(what), doc.Commands(lines), *doubt], on="page")
 
 
-def _made(diagnosis: Diagnosis, provenance: str) -> Section:
+def _made(diagnosis: Diagnosis, provenance: str) -> doc.Section:
     channel = _response(diagnosis)
     noise = diagnosis.before.fit.problem.noises[channel.kind]
     scale, unit = channel.readable
+    origin = "read where the machine is still" if noise.samples else "which the best model leaves: it is never still"
+    if channel.noise > 0.0:
+        origin = "as declared"
     rows = [
         ("Made by", f"valve_sim {__version__}"),
         ("Sources", "\n".join(diagnosis.sources)),
-        (
-            "Noise",
-            f"{three_digits(scale * noise.sigma)} {unit} rms of the {channel.kind} sensor, {_known_by(noise, channel)}",
-        ),
-        ("Strokes", choice_words(diagnosis)),
-        ("Held out", holdout_words(diagnosis)),
+        ("Noise", f"{three_digits(scale * noise.sigma)} {unit} rms of the {channel.kind} sensor, {origin}"),
+        ("Strokes", claims.choice_words(diagnosis)),
+        ("Held out", claims.holdout_words(diagnosis)),
         ("Provenance", provenance),
     ]
-    return Section("How this was made", [Pairs([(term, words) for term, words in rows if words])], on="page")
-
-
-def _known_by(noise: Noise, channel: Channel) -> str:
-    """From what the noise of a sensor is known."""
-    if channel.noise > 0.0:
-        return "as declared"
-    return "read where the machine is still" if noise.samples else "which the best model leaves: it is never still"
+    return doc.Section("How this was made", [doc.Table(("", ""), [doc.Row(row) for row in rows if row[1]])], on="page")
 
 
 def _number(value: float, unit: str) -> str:

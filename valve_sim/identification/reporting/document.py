@@ -1,6 +1,6 @@
-"""A result as a document: sections of sentences, tables, curves and fields, each built once.
+"""A result as a document: sections of sentences, tables, plots and fields, each built once.
 
-`to_text`, `to_json` and `to_junit` tell it; `page` and `figures` draw it.
+`to_text`, `to_json` and `to_junit` tell it; `page` and `figures` draw it. Each block says where it is told: `on`.
 """
 
 from __future__ import annotations
@@ -25,16 +25,12 @@ CHARACTERS: Final = 24
 """Of a small picture on a terminal."""
 TOLD: Final = 0.5
 """Least range of the means of a small picture, of its range: what swings faster does not show on a terminal."""
+MANY: Final = 1_000_000
 
 
 @dataclass(frozen=True)
 class Words:
-    """Sentences.
-
-    Attributes:
-        text: as it is told. lead: said first, in bold: "What to do". style: of the page: "", "soft" or "doubt".
-        on: where it is told.
-    """
+    """Sentences; `lead` is said first, in bold, and `style` is of the page: "", "soft" or "doubt"."""
 
     text: str
     lead: str = ""
@@ -44,11 +40,19 @@ class Words:
 
 @dataclass(frozen=True)
 class Items:
-    """A list of sentences; one with a `fold` unfolds under it on the page."""
+    """A list of sentences, which unfolds on the page where it has a title, `fold`."""
 
     lines: Sequence[str]
     fold: str = ""
     on: On = "both"
+
+
+@dataclass(frozen=True)
+class Commands:
+    """Lines to type."""
+
+    lines: Sequence[str]
+    on: On = "page"
 
 
 @dataclass(frozen=True)
@@ -62,6 +66,18 @@ class Entry:
 
 
 @dataclass(frozen=True)
+class Fold:
+    """A row of the page that unfolds: who, what is in doubt, what else is said, a trend, and blocks."""
+
+    who: str
+    doubt: str
+    words: str
+    trend: Spark
+    blocks: Sequence[Block]
+    on: On = "page"
+
+
+@dataclass(frozen=True)
 class Spark:
     """A small picture in a cell: `shown` over `at`, (n,) each; `over` says what `at` is."""
 
@@ -72,12 +88,7 @@ class Spark:
 
 @dataclass(frozen=True)
 class Place:
-    """A place in a cell, on a scale from −reach to reach.
-
-    Attributes:
-        at, low, high: the place and its interval. limit: half the width of the band of what is usual.
-        is_out: whether it is beyond. words: for whoever does not see it.
-    """
+    """A place with its interval on a scale from −reach to reach, and the half width of what is usual there."""
 
     at: float
     low: float
@@ -93,12 +104,9 @@ Cell = str | Spark | Place
 
 @dataclass(frozen=True)
 class Row:
-    """A row of a table.
+    """A row of a table, with a note below; a marked one stands out, or is a test that failed.
 
-    Attributes:
-        cells: one for each column. name: that of code.
-        note: told below. is_marked: whether it stands out; of a check, whether it failed.
-        link: where the first cell leads on the page.
+    `name` is that of code, and the first cell leads to `link` on the page.
     """
 
     cells: Sequence[Cell]
@@ -120,7 +128,7 @@ class Table:
 
     head: Sequence[str]
     rows: Sequence[Row]
-    shown: int = 1_000_000
+    shown: int = MANY
     is_sorted_on_click: bool = False
     is_by_name: bool = False
     is_brief: bool = False
@@ -130,7 +138,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Curve:
-    """Values over those of a plot, (n,), NaN where nothing is known; `name` is its colour's; dots: at each sample."""
+    """Values over those of a plot, (n,), NaN where nothing is known; the name is that of a colour, too."""
 
     name: str
     y: Array
@@ -139,7 +147,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Panel:
-    """Curves on one axis, beside a band from `low` to `high`, (n,) each; has_zero: whether 0 is drawn."""
+    """Curves on one axis, beside a band from `low` to `high`, (n,) each."""
 
     label: str
     curves: Sequence[Curve]
@@ -150,7 +158,7 @@ class Panel:
 
 @dataclass(frozen=True)
 class Plot:
-    """Panels below each other over `x`, (n,); `title` and `caption` stand above."""
+    """Panels below each other over `x`, (n,)."""
 
     title: str
     caption: str
@@ -164,57 +172,27 @@ class Plots:
     """Plots beside each other, made where they are drawn.
 
     Attributes:
-        shown: how many the page shows at once; the others unfold. legend: names of curves, and what each is, which the
-            page shows and hides. is_small: whether they are half as wide.
+        shown: how many the page shows at once; the others unfold. legend: curves that the page can hide, each with what
+            it is. is_small: whether they are half as wide.
     """
 
     make: Callable[[], Sequence[Plot]]
-    shown: int = 1_000_000
+    shown: int = MANY
     legend: Sequence[tuple[str, str]] = ()
     is_small: bool = False
     on: On = "page"
 
 
-@dataclass(frozen=True)
-class Commands:
-    """Lines to type."""
-
-    lines: Sequence[str]
-    on: On = "page"
-
-
-@dataclass(frozen=True)
-class Pairs:
-    """Terms, and what is said of each."""
-
-    rows: Sequence[tuple[str, str]]
-    on: On = "page"
-
-
-@dataclass(frozen=True)
-class Fold:
-    """A row that unfolds: who, what is said of it (first in doubt, then as usual), a trend, and blocks."""
-
-    who: str
-    doubt: str
-    words: str
-    trend: Spark
-    blocks: Sequence[Block]
-    on: On = "page"
-
-
-Block = Words | Items | Entry | Table | Plots | Commands | Pairs | Fold
-Field = Any
-"""What JSON holds, or a function that returns it and is called only for JSON."""
+Block = Words | Items | Commands | Entry | Fold | Table | Plots
 
 
 @dataclass(frozen=True)
 class Section:
-    """Blocks under a title, and their fields in JSON."""
+    """Blocks under a title, and fields of JSON; a field that is a function is called for JSON only."""
 
     title: str = ""
     blocks: Sequence[Block] = ()
-    fields: Mapping[str, Field] = field(default_factory=dict)
+    fields: Mapping[str, Any] = field(default_factory=dict)
     on: On = "both"
 
 
@@ -224,7 +202,7 @@ class Document:
 
     Attributes:
         name: of what it is: "Diagnosis". headline: what it says, in a sentence or two. kind: of the headline, in code.
-        status: how sure it is, in a few words; is_sure: enough to act on it. chance: beside the status.
+        status: how sure it is, in a few words. chance: beside it. is_sure: whether that is enough to act on it.
     """
 
     name: str
