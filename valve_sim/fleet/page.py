@@ -97,9 +97,7 @@ def fleet_document(rows: Sequence[Row]) -> tuple[doc.Document, list[str]]:
     sections = [
         doc.Section("", [doc.Words(_counts(rows), style="soft")]),
         doc.Section("Valves, what is wrong first", [doc.Words(hint, style="soft"), *valves]),
-        doc.Section(
-            "Bags without a result, and why", [doc.Table(("bag", "state", "why"), shown), *also] if refused else []
-        ),
+        doc.Section("Bags without a result, and why", [bags, *also] if refused else []),
         doc.Section("How this was made", [doc.Table(("", ""), [doc.Row(row) for row in made])]),
     ]
     headline = _headline(len(drifting), len(valves), len(refused))

@@ -18,6 +18,7 @@ from valve_sim.identification.plants.effect_titles import title_of
 from valve_sim.identification.reporting.claims import (
     certainty,
     headline,
+    meaning_entry,
     meanings,
     recording_advice,
     rounding_words,
@@ -136,10 +137,10 @@ def test_a_guess_is_called_a_guess(diagnosis: Diagnosis) -> None:
 
 def test_the_report_for_programs_has_the_same_words(diagnosis: Diagnosis) -> None:
     report = diagnosis_document(diagnosis).to_json()
-    (meaning,) = meanings(diagnosis)
     assert report["verdict"]["headline"] == headline(diagnosis)
-    assert report["meaning"]["coulomb_friction"]["severity"] == "4 % of the spring preload"
-    assert report["meaning"]["coulomb_friction"]["what_to_do"] == meaning.what_to_do
+    meaning = report["meaning"]["coulomb_friction"]
+    assert meaning["severity"] == "4 % of the spring preload"
+    assert meaning["what_to_do"] == CATALOGUE["coulomb_friction"].what_to_do
 
 
 def test_a_deviation_inside_its_own_error_is_none() -> None:
@@ -174,9 +175,10 @@ def test_where_a_standard_error_does_not_describe_the_interval_the_interval_is_t
 
 
 def test_what_one_of_several_effects_explains_is_a_statement_of_its_own(diagnosis: Diagnosis) -> None:
-    (meaning,) = meanings(diagnosis)
     worth = "less than 1 % of what all named effects explain"
-    told = meaning._replace(worth=worth).entry().blocks[0]
+    meaning = meanings(diagnosis)["coulomb_friction"]
+    meaning["amounts"]["explains"] = worth
+    told = meaning_entry("coulomb_friction", meaning, ()).blocks[0]
     assert isinstance(told, Words)
     assert told.text.endswith(f"4 % of the spring preload; it explains {worth}.")
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Mapping
-from typing import Any, Final, NamedTuple
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from typing import Any, Final
 
 from valve_sim.identification.diagnosis.outcome import Diagnosis, Verdict
 from valve_sim.identification.fit.budget import STROKES_A_SECOND
@@ -71,8 +71,8 @@ def headline(diagnosis: Diagnosis) -> str:
     claim = f"The model {what_is_missing(verdict.effects, declared_effects(diagnosis.plant))}"
     if verdict.probability < EVEN:
         claim = f"Perhaps t{claim[1:]}"
-    amounts = [meaning.amounts for meaning in meanings(diagnosis)]
-    much = f": {amounts[0][0][1]}" if len(amounts) == 1 and len(amounts[0]) == 1 else ""
+    amounts = [amount for meaning in meanings(diagnosis).values() for amount in meaning["amounts"].values()]
+    much = f": {amounts[0]}" if len(amounts) == 1 else ""
     return f"{claim}{much}.{f' {capitalised(alike)} would explain the data about as well.' if alike else ''}"
 
 
@@ -216,90 +216,57 @@ def rounding_words(diagnosis: Diagnosis) -> str:
 # --- what an effect means -------------------------------------------------------------------------------------------
 
 
-class Meaning(NamedTuple):
-    """A named effect in words.
-
-    Attributes:
-        name: in code. title: plain.
-        amounts: (what, value with interval and unit) of each parameter. worth: what it explains of the whole, or empty.
-        severity: its size beside something familiar, or empty. on_a_real_valve, what_to_do: a sentence, or empty.
-        others: plain titles of what would explain the data about as well.
-    """
-
-    name: str
-    title: str
-    amounts: tuple[tuple[str, str], ...]
-    worth: str
-    severity: str
-    on_a_real_valve: str
-    what_to_do: str
-    others: tuple[str, ...]
-
-    def to_json(self) -> dict[str, Any]:
-        """What report.json holds of it."""
-        worth = {"explains": self.worth} if self.worth else {}
-        return {
-            "title": self.title,
-            "amounts": {**dict(self.amounts), **worth},
-            "severity": self.severity or None,
-            "on_a_real_valve": self.on_a_real_valve or None,
-            "what_to_do": self.what_to_do or None,
-        }
-
-    def entry(self) -> Entry:
-        """What a document says of it."""
-        size = "; ".join(f"{what} {value}" for what, value in self.amounts)
-        much = "; ".join(
-            part
-            for part in (
-                ", ".join(words for words in (size, self.severity) if words),
-                f"it explains {self.worth}" if self.worth else "",
-            )
-            if part
-        )
-        told = (
-            ("How much", much and f"{much}."),
-            ("On a real valve", self.on_a_real_valve),
-            ("What to do", self.what_to_do),
-            ("These data cannot distinguish it from", self.others and f"{', '.join(self.others)}."),
-        )
-        return Entry(self.title, self.name, [Words(str(words), lead=lead) for lead, words in told if words])
-
-
-def meanings(diagnosis: Diagnosis) -> list[Meaning]:
-    """What each effect of a correction is on a real valve, how much of it there is, and what to do."""
+def meanings(diagnosis: Diagnosis) -> dict[str, dict[str, Any]]:
+    """What each effect of a correction is on a real valve, how much of it there is, and what to do: see report.json."""
     verdict = diagnosis.verdict
-    return [_meaning(diagnosis, effect) for effect in verdict.effects] if verdict.is_corrected else []
+    return {effect: _meaning(diagnosis, effect) for effect in verdict.effects} if verdict.is_corrected else {}
 
 
-def _meaning(diagnosis: Diagnosis, effect: str) -> Meaning:
+def meaning_entry(effect: str, meaning: Mapping[str, Any], alike: Sequence[str]) -> Entry:
+    """The same in sentences; `alike` would do in its place."""
+    amounts = dict(meaning["amounts"])
+    worth = amounts.pop("explains", "")
+    size = ", ".join(filter(None, ["; ".join(map(" ".join, amounts.items())), meaning["severity"]]))
+    much = "; ".join(filter(None, [size, worth and f"it explains {worth}"]))
+    told = {
+        "How much": much and f"{much}.",
+        "On a real valve": meaning["on_a_real_valve"],
+        "What to do": meaning["what_to_do"],
+        "These data cannot distinguish it from": alike and f"{named(alike, 'or')}.",
+    }
+    return Entry(meaning["title"], effect, [Words(str(words), lead=lead) for lead, words in told.items() if words])
+
+
+def _meaning(diagnosis: Diagnosis, effect: str) -> dict[str, Any]:
     plant, intervals = diagnosis.plant, diagnosis.after.intervals
-    others = tuple(title_of(other) for other in diagnosis.verdict.confusable_with.get(effect, ()))
     worth = _worth_words(diagnosis, effect)
     if effect in plant.effects and plant.effects[effect].is_declared_value:
-        return Meaning(
-            effect, title_of(effect), _wrong_value(diagnosis, effect), worth, "", *_wrong_words(effect), others
-        )
-    is_declared = effect in declared_effects(plant)
-    names = [name for name in intervals if name.startswith(f"{effect}.")]
-    amounts = tuple(
-        (plant.parameter(name).description, _amount(diagnosis, name, with_declared=is_declared)) for name in names
-    )
-    # What the catalogue says of an effect is about a valve; an effect of a plant file may share its name.
-    entry = CATALOGUE.get(effect) if isinstance(plant, ValvePlant) else None
-    values = {name.partition(".")[2]: intervals[name].value for name in names}
-    texts = (entry.on_a_real_valve, entry.what_to_do) if entry else ("", "")
-    return Meaning(effect, title_of(effect), amounts, worth, _severity(entry, values, plant), *texts, others)
+        amounts, severity, (cause, advice) = _wrong_value(diagnosis, effect), "", _wrong_words(effect)
+    else:
+        is_declared = effect in declared_effects(plant)
+        names = [name for name in intervals if name.startswith(f"{effect}.")]
+        amounts = {plant.parameter(name).description: _amount(diagnosis, name, is_declared) for name in names}
+        # What the catalogue says of an effect is about a valve; an effect of a plant file may share its name.
+        entry = CATALOGUE.get(effect) if isinstance(plant, ValvePlant) else None
+        severity = _severity(entry, {name.partition(".")[2]: intervals[name].value for name in names}, plant)
+        cause, advice = (entry.on_a_real_valve, entry.what_to_do) if entry else ("", "")
+    return {
+        "title": title_of(effect),
+        "amounts": amounts | ({"explains": worth} if worth else {}),
+        "severity": severity or None,
+        "on_a_real_valve": cause or None,
+        "what_to_do": advice or None,
+    }
 
 
-def _wrong_value(diagnosis: Diagnosis, effect: str) -> tuple[tuple[str, str], ...]:
+def _wrong_value(diagnosis: Diagnosis, effect: str) -> dict[str, str]:
     """Amounts of a declared value that is not what was declared."""
     name = effect.removeprefix("valve.")
     rows = [row for row in diagnosis.declared if row.name == name or row.name.startswith(f"{COORDINATES.get(name)}[")]
     if rows:
-        return tuple((plain_name(row.name), amount_words(row)) for row in rows)
+        return {plain_name(row.name): amount_words(row) for row in rows}
     estimated = [one for one in diagnosis.plant.effects[effect].free_names() if one in diagnosis.after.intervals]
-    return tuple((plain_name(one), _amount(diagnosis, one, with_declared=True)) for one in estimated)
+    return {plain_name(one): _amount(diagnosis, one, True) for one in estimated}
 
 
 def _wrong_words(effect: str) -> tuple[str, str]:
@@ -321,7 +288,7 @@ def _worth_words(diagnosis: Diagnosis, effect: str) -> str:
     return f"{share} of what all named effects explain{left}"
 
 
-def _amount(diagnosis: Diagnosis, name: str, *, with_declared: bool) -> str:
+def _amount(diagnosis: Diagnosis, name: str, with_declared: bool) -> str:
     """0.80 ± 0.01 N, declared 0.30 N; of a stand-in, whose value has no error, "about"."""
     parameter, interval = diagnosis.plant.parameter(name), diagnosis.after.intervals[name]
     words = amount(interval, parameter.unit) if is_inside(interval.value, parameter) else "not determined"

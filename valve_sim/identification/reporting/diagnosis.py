@@ -166,9 +166,10 @@ def _verdict(diagnosis: Diagnosis) -> doc.Section:
 
 
 def _meaning(diagnosis: Diagnosis, *, is_sure: bool) -> doc.Section:
-    told = claims.meanings(diagnosis)
+    told, alike = claims.meanings(diagnosis), diagnosis.verdict.confusable_with
     title = "What it means" if is_sure else "What it would mean"
-    return doc.Section(title, [one.entry() for one in told], {"meaning": {one.name: one.to_json() for one in told}})
+    entries = [claims.meaning_entry(name, meaning, alike.get(name, ())) for name, meaning in told.items()]
+    return doc.Section(title, entries, {"meaning": told})
 
 
 def _record_next(diagnosis: Diagnosis, folder: Path | None, options: str) -> doc.Section:

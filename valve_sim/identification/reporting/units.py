@@ -9,31 +9,17 @@ from typing import Any, Final
 from valve_sim.identification.fit.intervals import Interval
 from valve_sim.identification.plants.protocol import KEY_OF_UNIT
 
-_PREFIXES: Final[Mapping[str, tuple[tuple[float, str], ...]]] = {
-    "m": ((1e-3, "µm"), (1.0, "mm")),
-    "s": ((1e-3, "µs"), (1.0, "ms"), (math.inf, "s")),
-    "A": ((1.0, "mA"), (math.inf, "A")),
-    "Hz": ((1e3, "Hz"), (math.inf, "kHz")),
-    "Pa": ((1e6, "kPa"), (math.inf, "MPa")),
-    "H": ((1e-3, "µH"), (1.0, "mH"), (math.inf, "H")),
-    "m²": ((math.inf, "mm²"),),
-    "m³": ((math.inf, "cm³"),),
+_READABLE: Final[Mapping[str, tuple[tuple[float, float, str], ...]]] = {
+    "m": ((1e-3, 1e6, "µm"), (1.0, 1e3, "mm")),
+    "s": ((1e-3, 1e6, "µs"), (1.0, 1e3, "ms"), (math.inf, 1.0, "s")),
+    "A": ((1.0, 1e3, "mA"), (math.inf, 1.0, "A")),
+    "Hz": ((1e3, 1.0, "Hz"), (math.inf, 1e-3, "kHz")),
+    "Pa": ((1e6, 1e-3, "kPa"), (math.inf, 1e-6, "MPa")),
+    "H": ((1e-3, 1e6, "µH"), (1.0, 1e3, "mH"), (math.inf, 1.0, "H")),
+    "m²": ((math.inf, 1e6, "mm²"),),
+    "m³": ((math.inf, 1e6, "cm³"),),
 }
-"""SI unit to display units, each for sizes below its bound."""
-_FACTORS: Final = {
-    "µm": 1e6,
-    "mm": 1e3,
-    "µs": 1e6,
-    "ms": 1e3,
-    "mA": 1e3,
-    "kHz": 1e-3,
-    "kPa": 1e-3,
-    "MPa": 1e-6,
-    "µH": 1e6,
-    "mH": 1e3,
-    "mm²": 1e6,
-    "cm³": 1e6,
-}
+"""SI unit to bound, factor and name of display units, each for sizes below its bound, the last beyond, too."""
 _NO_UNIT: Final = ("", "–")
 _MOST_PLACES: Final = 7
 _LARGE: Final = 1e5
@@ -46,9 +32,9 @@ _RAISED: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 def readable(unit: str, size: float) -> tuple[float, str]:
     """Factor from SI and name of the display unit for a value of this size."""
-    options = _PREFIXES.get(unit, ())
-    name = next((name for bound, name in options if abs(size) < bound), options[-1][1] if options else unit)
-    return _FACTORS.get(name, 1.0), "" if name in _NO_UNIT else name
+    options = _READABLE.get(unit, ((math.inf, 1.0, unit),))
+    _, factor, name = next((option for option in options if abs(size) < option[0]), options[-1])
+    return factor, "" if name in _NO_UNIT else name
 
 
 def quantity(value: float, unit: str, digits: int = 3) -> str:
