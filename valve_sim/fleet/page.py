@@ -197,13 +197,13 @@ def _state(newest_first: Sequence[Row]) -> str:
 
 
 def _drift_words(drift: Drift) -> str:
-    own, change = drift.series.quantity, drift.change
+    measure, change = drift.series.quantity, drift.change
     before = float(np.median(drift.series.values[: max(1, len(drift.series.values) // 10)]))
     p_value = f"{drift.adjusted:.1g}" if drift.adjusted >= 1e-6 else "< 0.000001"
     sign = "+" if change > 0.0 else ""
     return (
-        f"{_title(own.name)} {sign}{quantity(change, own.unit)} in {np.ptp(drift.series.days):.3g} days, from "
-        f"{quantity(before, own.unit)} (p {p_value} over the fleet)"
+        f"{_title(measure.name)} {sign}{quantity(change, measure.unit)} in {np.ptp(drift.series.days):.3g} days, from "
+        f"{quantity(before, measure.unit)} (p {p_value} over the fleet)"
     )
 
 

@@ -1,4 +1,4 @@
-"""The file of a machine with what was found: refitted values, and what is missing among its equations."""
+"""The file of a machine with what a fit says of it: refitted values, and effects among its equations."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import yaml
 
 from valve_sim.files.plant_files import PlantFile, renamed
 from valve_sim.files.whole_files import write_whole
-from valve_sim.identification.diagnosis.run import Diagnosis
+from valve_sim.identification.diagnosis.outcome import Diagnosis
 from valve_sim.identification.fit.declared_values import declared_values
 from valve_sim.identification.fit.result import Fit
 from valve_sim.identification.plants.own import OwnPlant
@@ -20,70 +20,78 @@ from valve_sim.model.core.own.units import text_of
 
 
 def corrected_plant(diagnosis: Diagnosis) -> dict[str, Any]:
-    """The plant's file with the values that a diagnosis found, and what it names among the equations."""
-    plant = diagnosis.plant
+    """The plant's file with the values of a diagnosis, and what it names among the equations."""
+    plant, verdict = diagnosis.plant, diagnosis.verdict
     assert isinstance(plant, OwnPlant)
-    result = diagnosis.after.fit
-    names = tuple(name for name in diagnosis.verdict.effects if name in plant.file.effects)
-    return changed_plant(plant.file, result, names if diagnosis.verdict.is_corrected else ())
+    effects = [name for name in verdict.effects if verdict.is_corrected and name in plant.file.effects]
+    return changed_plant(plant.file, diagnosis.after.fit, effects)
 
 
-def changed_plant(  # noqa: PLR0912 -- one for each part of a file
-    file: PlantFile, result: Fit, effects: Sequence[str] = ()
-) -> dict[str, Any]:
+def changed_plant(file: PlantFile, result: Fit, effects: Sequence[str] = ()) -> dict[str, Any]:
     """The content of a plant's file with the values of a fit, and some of its effects among the equations.
 
     A value with a tolerance has its standard error for the new one.
     """
-    values = result.values
-    errors = {row.name: row.stderr for row in declared_values(result)}
-    found: dict[str, Any] = {key: value for key, value in file.text.items() if key != "plant"}
-    found = {"plant": "equations", **yaml.safe_load(yaml.safe_dump(found, sort_keys=False))}
-    found.setdefault("parameters", {})
+    values, errors = result.values, {row.name: row.stderr for row in declared_values(result)}
+    copied = yaml.safe_load(
+        yaml.safe_dump({key: file.text[key] for key in file.text if key != "plant"}, sort_keys=False)
+    )
+    content: dict[str, Any] = {"plant": "equations", **copied}
+    parameters = content.setdefault("parameters", {})
     for name, entry in file.parameters.items():
         if name in values and math.isfinite(values[name]):
             value = min(max(values[name], entry.lower), entry.upper)
-            found["parameters"][name]["value"] = float(f"{value / entry.unit.factor:.9g}")
+            parameters[name]["value"] = float(f"{value / entry.unit.factor:.9g}")
             if name in errors and 0.0 < errors[name] < math.inf:
-                found["parameters"][name]["tolerance"] = float(f"{errors[name] / entry.unit.factor:.3g}")
-    derivatives = dict(file.derivatives)
-    outputs = {name: own.value for name, own in file.outputs.items()}
+                parameters[name]["tolerance"] = float(f"{errors[name] / entry.unit.factor:.3g}")
+    expressions = {
+        "derivatives": dict(file.derivatives),
+        "outputs": {name: o.value for name, o in file.outputs.items()},
+    }
     for effect in effects:
-        chosen = file.effects[effect]
-        own = {name: f"{effect}_{name}" for name in chosen.parameters}
-        for target, name in chosen.delay.items():
-            entry = found["inputs" if target in file.inputs else "outputs"][target]
-            entry["delay"] = float(f"{entry.get('delay', 0.0) + values[f'{effect}.{name}']:.9g}")
-        used = {name for added in chosen.add.values() for name in names_in(added)}
-        for name, parameter in chosen.parameters.items():
-            if name not in used:
-                continue
-            value = values[f"{effect}.{name}"]
-            ends = [end / parameter.unit.factor for end in (parameter.lower, parameter.upper)]
-            declared: dict[str, Any] = {"value": float(f"{value / parameter.unit.factor:.9g}")}
-            source = file.text["effects"][effect]["parameters"][name]
-            if "unit" in source:
-                declared["unit"] = source["unit"]
-            if all(map(math.isfinite, ends)):
-                declared["range"] = ends
-            found["parameters"][own[name]] = declared
-        for target, added in chosen.add.items():
-            place = derivatives if target in derivatives else outputs
-            place[target] = Expr("+", (place[target], renamed(added, own)))
-        del found["effects"][effect]
-        for other in found["effects"].values():
-            if "confused_with" in other:
-                alike = other["confused_with"]
-                other["confused_with"] = [
-                    one for one in ([alike] if isinstance(alike, str) else alike) if one != effect
-                ]
+        _take_in(content, file, effect, values, expressions)
     if effects:
-        found["derivatives"] = {name: text_of(own) for name, own in derivatives.items()}
-        for name, expression in outputs.items():
-            found["outputs"][name]["value"] = text_of(expression)
-        if not found["effects"]:
-            del found["effects"]
-    return found
+        content["derivatives"] = {name: text_of(rate) for name, rate in expressions["derivatives"].items()}
+        for name, expression in expressions["outputs"].items():
+            content["outputs"][name]["value"] = text_of(expression)
+        if not content["effects"]:
+            del content["effects"]
+    return content
+
+
+def _take_in(
+    content: dict[str, Any],
+    file: PlantFile,
+    effect: str,
+    values: Mapping[str, float],
+    expressions: Mapping[str, dict[str, Expr]],
+) -> None:
+    """Move an effect from the effects of a content to its equations; its parameters bear the effect's name, too."""
+    entry = file.effects[effect]
+    names = {name: f"{effect}_{name}" for name in entry.parameters}
+    for target, name in entry.delay.items():
+        delayed = content["inputs" if target in file.inputs else "outputs"][target]
+        delayed["delay"] = float(f"{delayed.get('delay', 0.0) + values[f'{effect}.{name}']:.9g}")
+    used = {name for added in entry.add.values() for name in names_in(added)}
+    for name in [name for name in entry.parameters if name in used]:
+        parameter = entry.parameters[name]
+        factor, source = parameter.unit.factor, file.text["effects"][effect]["parameters"][name]
+        declared = {"value": float(f"{values[f'{effect}.{name}'] / factor:.9g}")}
+        unit = {"unit": source["unit"]} if "unit" in source else {}
+        ends = [end / factor for end in (parameter.lower, parameter.upper)]
+        content["parameters"][names[name]] = {
+            **declared,
+            **unit,
+            **({"range": ends} if all(map(math.isfinite, ends)) else {}),
+        }
+    for target, added in entry.add.items():
+        place = expressions["derivatives" if target in expressions["derivatives"] else "outputs"]
+        place[target] = Expr("+", (place[target], renamed(added, names)))
+    del content["effects"][effect]
+    for other in content["effects"].values():
+        if "confused_with" in other:
+            alike = other["confused_with"]
+            other["confused_with"] = [one for one in ([alike] if isinstance(alike, str) else alike) if one != effect]
 
 
 def save_plant(path: Path, content: Mapping[str, Any], provenance: str) -> None:

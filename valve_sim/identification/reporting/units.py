@@ -69,12 +69,12 @@ def in_unit(name: str, value: Any, unit: str) -> dict[str, Any]:
     return {name: value, f"{name}_{KEY_OF_UNIT[unit]}": value} if unit in KEY_OF_UNIT else {name: value}
 
 
-def measured(found: Interval, unit: str) -> str:
+def measured(interval: Interval, unit: str) -> str:
     """A value with its standard error, both in the unit that suits them and to the two digits that the error has."""
-    if not (math.isfinite(found.value) and math.isfinite(found.stderr)):
-        return quantity(found.value, unit)
-    scale, name = readable(unit, found.value or found.stderr)
-    value, error = scale * found.value, scale * found.stderr
+    if not (math.isfinite(interval.value) and math.isfinite(interval.stderr)):
+        return quantity(interval.value, unit)
+    scale, name = readable(unit, interval.value or interval.stderr)
+    value, error = scale * interval.value, scale * interval.stderr
     places = 1 - math.floor(math.log10(error)) if error > 0.0 else _MOST_PLACES
     if places < 0 and max(abs(value), error) < _LARGE:
         places = 0
@@ -92,11 +92,11 @@ def disagree(interval: Interval) -> bool:
     return any(not expected / _HALF_MORE <= side <= expected * _HALF_MORE for side in sides)
 
 
-def amount(found: Interval, unit: str) -> str:
+def amount(interval: Interval, unit: str) -> str:
     """A value with its standard error, or with its 95 % interval where the standard error does not describe it."""
-    if not disagree(found):
-        return measured(found, unit)
-    return f"{quantity(found.value, unit)} (95 %: {limits(found, unit)})"
+    if not disagree(interval):
+        return measured(interval, unit)
+    return f"{quantity(interval.value, unit)} (95 %: {limits(interval, unit)})"
 
 
 def gain_words(log_odds: float) -> str:
@@ -106,11 +106,12 @@ def gain_words(log_odds: float) -> str:
     return signed(log_odds, 1 if log_odds < _FAR_LESS else 0)
 
 
-def limits(found: Interval, unit: str) -> str:
+def limits(interval: Interval, unit: str) -> str:
     """The 95 % interval; an open end is infinite."""
-    scale, name = readable(unit, found.value if math.isfinite(found.value) else found.low)
+    scale, name = readable(unit, interval.value if math.isfinite(interval.value) else interval.low)
     low, high = (
-        _short(scale * end, 4) if math.isfinite(end) else ("−∞" if end < 0 else "∞") for end in (found.low, found.high)
+        _short(scale * end, 4) if math.isfinite(end) else ("−∞" if end < 0 else "∞")
+        for end in (interval.low, interval.high)
     )
     return f"{low} to {high} {name}".rstrip()
 
