@@ -124,11 +124,11 @@ def _verdict(diagnosis: Diagnosis) -> doc.Section:
         first, last = (scale * getattr(state, name) for state in (before, after))
         return change(first, last, unit) if verdict.is_corrected else f"{three_digits(first)} {unit}"
 
-    model = "before → after" if verdict.is_corrected else "of the refitted declared model"
+    model = ", before → after" if verdict.is_corrected else " of the refitted declared model"
     held_out = f", {told('holdout_rmse')} on held-out data" if math.isfinite(before.holdout_rmse) else ""
     sigma = three_digits(scale * before.fit.problem.noises[_response(diagnosis).kind].sigma)
     least = f"{'The best model leaves' if unseen else 'The noise of the sensor is'} {sigma} {unit}."
-    errors = f"Root-mean-square error, {model}: {told('train_rmse')} on fitted data{held_out}. {least}"
+    errors = f"Root-mean-square error{model}: {told('train_rmse')} on fitted data{held_out}. {least}"
     chosen = claims.choice_words(diagnosis), claims.holdout_words(diagnosis)
     remarks = (claims.rounding_words(diagnosis), unseen, *claims.grounds(diagnosis))
     untried = [doc.Items(diagnosis.untried, f"{len(diagnosis.untried)} sets that were left untried", on="page")]
@@ -242,12 +242,11 @@ def _nearest(diagnosis: Diagnosis) -> Iterator[doc.Block]:
     held_out = "" if math.isnan(nearest.holdout_rmse) else f", {quantity(nearest.holdout_rmse, unit)} held out"
     error = f"rms error {quantity(nearest.train_rmse, unit)} fitted{held_out}"
     yield doc.Words(f"With {named(verdict.effects)}, which is not claimed, {error}:")
-    told = ((name, one, *named_value(diagnosis.plant, name)) for name, one in nearest.intervals.items())
-    yield doc.Table(
-        ("value", "with them"),
-        [doc.Row((words, measured(one, unit)), name) for name, one, words, unit in told],
-        is_by_name=True,
-    )
+    told = ((name, interval, *named_value(diagnosis.plant, name)) for name, interval in nearest.intervals.items())
+    rows = [doc.Row((words, measured(interval, unit)), name) for name, interval, words, unit in told]
+    yield doc.Table(("value", "with them"), rows, is_by_name=True)
+    alike = [(effect, others) for effect, others in verdict.confusable_with.items() if others]
+    yield doc.Items([f"{title_of(effect)} could also be: {named(others, 'or')}." for effect, others in alike])
 
 
 def _whiteness(state: State) -> str:
@@ -309,7 +308,8 @@ def force_plots(diagnosis: Diagnosis, motion: Motion | None = None) -> list[doc.
 
 
 def _strokes(diagnosis: Diagnosis) -> doc.Section:
-    plots = doc.Plots(functools.partial(stroke_plots, diagnosis), SHOWN_STROKES, LEGEND)
+    legend = LEGEND if diagnosis.verdict.is_corrected else (LEGEND[0], ("after", "refitted model"))
+    plots = doc.Plots(functools.partial(stroke_plots, diagnosis), SHOWN_STROKES, legend)
     return doc.Section("Measured against model", [plots, doc.Words(BAND, style="soft")], on="page")
 
 

@@ -15,7 +15,7 @@ from valve_sim.identification.fit.result import Fit
 from valve_sim.identification.plants.protocol import Array, primary_channels
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.document import Curve, Panel, Plot
-from valve_sim.identification.reporting.units import change, quantity
+from valve_sim.identification.reporting.units import quantity, three_digits
 from valve_sim.traces import stroke_numbers
 
 DRAWN_POINTS: Final = 450
@@ -52,17 +52,19 @@ class StrokeCurves(NamedTuple):
 
     def plot(self) -> Plot:
         """Of at most `DRAWN_POINTS` samples: in each of equal bins, those at which a curve or residual is extreme."""
-        residuals = self.measured - self.before, self.measured - self.after
-        kept = keep_extremes((self.measured, *residuals), DRAWN_POINTS)
-        curves = zip(("measured", "before", "after"), (self.measured, self.before, self.after), strict=True)
-        left = zip(("before", "after"), residuals, strict=True)
-        above = Panel(f"{self.quantity}, {self.unit}", [Curve(name, values[kept]) for name, values in curves])
-        below = Panel(
-            f"residual, {self.unit}", [Curve(name, values[kept]) for name, values in left],
-            -2.0 * self.band[kept], 2.0 * self.band[kept], has_zero=True,
-        )  # fmt: skip
-        caption = f"rms {change(*self.root_mean_squares, self.unit)}"
-        return Plot(self.title, caption, self.time[kept], "time, ms", [above, below])
+        models = {"before": self.before, "after": self.after}
+        if np.array_equal(self.before, self.after):  # nothing is corrected
+            del models["before"]
+        residuals = {name: self.measured - model for name, model in models.items()}
+        kept = keep_extremes((self.measured, *residuals.values()), DRAWN_POINTS)
+        above = [Curve(name, model[kept]) for name, model in {"measured": self.measured, **models}.items()]
+        below = [Curve(name, left[kept]) for name, left in residuals.items()]
+        panels = [
+            Panel(f"{self.quantity}, {self.unit}", above),
+            Panel(f"residual, {self.unit}", below, -2.0 * self.band[kept], 2.0 * self.band[kept], has_zero=True),
+        ]
+        errors = " → ".join(three_digits(root_mean_square(left)) for left in residuals.values())
+        return Plot(self.title, f"rms {errors} {self.unit}", self.time[kept], "time, ms", panels)
 
 
 def keep_extremes(curves: tuple[Array, ...], most: int) -> NDArray[np.int64]:
