@@ -15,8 +15,8 @@ from valve_sim.model.core.own.simulation import Machine
 from valve_sim.model.core.own.units import Unit, dimension_words, parse_unit, same
 from valve_sim.model.machine_stepper import Channels, MachineReading, MachineStepper
 from valve_sim.nodes.live_machine import LiveMachine
-from valve_sim.nodes.parameters import NodeParameter, Value, check_given
-from valve_sim.nodes.valve_parameters import VALVE_KEYS, ValveSettings
+from valve_sim.nodes.parameters import OF_ANY_NODE, PLANT_KEY, VALVE_KEYS, NodeParameter, Value, check_given
+from valve_sim.nodes.valve_parameters import ValveSettings
 
 INPUT: Final = "voltage"
 """The input that ~/coil_voltage commands."""
@@ -24,8 +24,6 @@ SHOWN: Final = {"position": "m", "main_position": "m", "current": "A"}
 """Outputs that topics show, and their units."""
 PHASE: Final = "phase"
 """The output that says which region's modes are on ~/phase."""
-PREFIX: Final = "parameters."
-"""What the names of a machine's parameters begin with, as in its file."""
 
 
 class NodePlant:
@@ -111,17 +109,23 @@ class PlantParameters:
         """Every parameter, by name."""
         found = ValveSettings.rows()
         for name, own in self._plant.file.parameters.items():
-            key, meaning = f"{PREFIX}{name}", own.title or "as the plant's file declares it"
+            key, meaning = f"{PLANT_KEY}{name}", own.title or "as the plant's file declares it"
             rule = Parameter(name, own.unit.si, meaning, own.lower, own.upper, prior_scale=own.value)
             found[key] = NodeParameter(key, own.value, meaning, own.unit.si, rule, read_only=False)
         return found
+
+    def passes_over(self, name: str, given: Mapping[str, object]) -> bool:
+        """As of `NodeSettings`."""
+        return name in OF_ANY_NODE or name.startswith(VALVE_KEYS)
 
     def values(self, given: Mapping[str, object], sources: Mapping[str, str]) -> dict[str, Value]:
         """The values at the start; arguments and errors as of `check_given`."""
         for name in given:
             if name.startswith(VALVE_KEYS):
                 where, path = f"{sources.get(name, 'command line')}: {name}", self._plant.file.path
-                raise ParameterError(f"{where}: is of the valve, which plant:={path} replaces; its own: {PREFIX}<name>")
+                raise ParameterError(
+                    f"{where}: is of the valve, which plant:={path} replaces; its own: {PLANT_KEY}<name>"
+                )
         values = check_given(given, self.table(), sources, ValveSettings.program)
         self.numbers(values)
         return values
@@ -136,7 +140,7 @@ class PlantParameters:
         Raises:
             ParameterError: it cannot start with these.
         """
-        numbers = {name: float(values[f"{PREFIX}{name}"]) for name in self._plant.file.parameters}
+        numbers = {name: float(values[f"{PLANT_KEY}{name}"]) for name in self._plant.file.parameters}
         try:
             self._plant.stepper(numbers)
         except SimulationError as error:

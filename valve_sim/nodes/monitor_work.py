@@ -37,6 +37,10 @@ MOST_WAITING: Final = 100
 """Queued strokes; further ones are dropped and counted."""
 FARTHEST_STAMP: Final = 0.2
 """s by which the nearest stamp of a second may differ from the node's clock; transport takes milliseconds."""
+LONGEST_WAIT: Final = 60.0
+"""s that a sample may have waited on its way; what is older is of another clock."""
+SAME_WAIT: Final = 0.05
+"""s by which the waits of samples differ at most, within a second, on a machine that is not busy."""
 SILENT_SECONDS: Final = 2.0
 """Time without samples after which the input is a warning."""
 
@@ -393,30 +397,47 @@ def _health(report: StrokeReport, monitor: StrokeMonitor) -> tuple[Level, str, s
 
 
 class StampCheck:
-    """Compares the stamps of samples with the node's own clock, by which commands are timed: they must be one clock."""
+    """Compares the stamps of samples with the node's own clock, by which commands are timed: they must be one clock.
+
+    A clock that is wrong is so by the same time for each sample. Samples that wait, in a driver or on a busy machine,
+    differ in how long: by more than the least of it, or, where clocks were seen to agree, by more than a moment.
+    """
 
     def __init__(self) -> None:
-        self._topic, self._least = "", math.inf
+        self._begin()
+        self._agreed = False
+
+    def _begin(self) -> None:
+        self._topic, self._least, self._most = "", math.inf, -math.inf
 
     def note(self, topic: str, stamp: int, now: int) -> None:
         """A sample came with this stamp at this ROS time, ns, which is 0 before the first /clock."""
-        apart = stamp - now
-        if now and abs(apart) < abs(self._least):
-            self._topic, self._least = topic, apart
+        if not now:
+            return
+        late = now - stamp
+        self._most = max(self._most, late)
+        if abs(late) < abs(self._least):
+            self._topic, self._least = topic, late
 
     def look(self, *, is_simulated: bool) -> str:
         """What is wrong with the stamps since the last look, and the mend; empty where nothing is, or none came."""
-        topic, seconds = self._topic, self._least / NANOSECONDS
-        self._topic, self._least = "", math.inf
-        if not FARTHEST_STAMP < abs(seconds) < math.inf:
+        topic, least, most = self._topic, self._least / NANOSECONDS, self._most / NANOSECONDS
+        self._begin()
+        if not FARTHEST_STAMP < abs(least) < math.inf:
+            self._agreed = self._agreed or bool(topic)
             return ""
+        if 0.0 < least < LONGEST_WAIT and most - least > (SAME_WAIT if self._agreed else least):
+            return (
+                f"{topic} comes {_duration(least)} to {_duration(most)} after its stamps, held back by its driver or a "
+                "busy machine; send each sample at once, or fewer of them"
+            )
         mend = (
             "all must be stamped by /clock, or use_sim_time be false"
             if is_simulated
             else "of a recording: use_sim_time:=true, ros2 bag play --clock; of another computer: set its clock (NTP)"
         )
-        where = "behind" if seconds < 0.0 else "ahead of"
-        return f"{topic} is stamped {_duration(abs(seconds))} {where} this node's clock, which times commands; {mend}"
+        where = "behind" if least > 0.0 else "ahead of"
+        return f"{topic} is stamped {_duration(abs(least))} {where} this node's clock, which times commands; {mend}"
 
 
 def _duration(seconds: float) -> str:

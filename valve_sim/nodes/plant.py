@@ -8,10 +8,10 @@ from typing import Final
 from rclpy.node import Node
 
 from valve_sim.files.parameter_sections import Section
-from valve_sim.nodes.live_plant import PREFIX, LivePlant, NodePlant, PlantParameters
+from valve_sim.nodes.live_plant import LivePlant, NodePlant, PlantParameters
 from valve_sim.nodes.machine import MachineNode
 from valve_sim.nodes.messages import JOINT_NAMES
-from valve_sim.nodes.parameters import Value
+from valve_sim.nodes.parameters import PLANT_KEY, Value
 from valve_sim.nodes.threads import keep_loaded
 
 _JOINTS: Final = dict(zip(("position", "main_position"), JOINT_NAMES, strict=True))
@@ -27,7 +27,7 @@ class PlantNode(MachineNode[Mapping[str, float], LivePlant]):
     """
 
     rests = "the machine begins anew, at 0 V"
-    keys = (PREFIX,)
+    keys = (PLANT_KEY,)
 
     def __init__(self, node: Node, sections: Sequence[tuple[str, Section]], path: str) -> None:
         self._plant = NodePlant(path)

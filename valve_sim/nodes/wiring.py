@@ -30,7 +30,16 @@ from valve_sim.model import ParameterError
 from valve_sim.nodes.diagnostics import Status
 from valve_sim.nodes.messages import diagnostic_array
 from valve_sim.nodes.node_clock import NodeClock
-from valve_sim.nodes.parameters import Declares, NodeParameter, S, Value, files_for_others, is_of_ros, sources_of
+from valve_sim.nodes.parameters import (
+    Declares,
+    NodeParameter,
+    S,
+    Value,
+    files_for_others,
+    is_of_ros,
+    of_others,
+    sources_of,
+)
 from valve_sim.nodes.receiving import Inbox, Source, Take
 from valve_sim.nodes.spinning import every, guarded, spin, wait_until_heard
 from valve_sim.nodes.threads import Fail, StoppableThread, StopRequest
@@ -66,7 +75,11 @@ def declared(node: Node, sections: Sequence[tuple[str, Section]], settings: Decl
         node.get_logger().warning(f"{path} has parameters for {', '.join(found)}, and none for {name}")
     all_declared: Mapping[str, Any] = node.get_parameters_by_prefix("")
     given = {key: parameter.value for key, parameter in all_declared.items() if not is_of_ros(key)}
-    values = settings.values(given, sources_of(sections, name))
+    others = of_others(given, sections, name, settings)
+    if others:
+        node.get_logger().info(f"passed over, as they are of other nodes: {', '.join(others)}")
+    own = {key: value for key, value in given.items() if key not in others}
+    values = settings.values(own, sources_of(sections, name))
     for key in given:
         node.undeclare_parameter(key)
     for key, entry in settings.table().items():
