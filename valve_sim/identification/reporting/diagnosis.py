@@ -24,7 +24,7 @@ from valve_sim.identification.reporting import document as doc
 from valve_sim.identification.reporting.correction import correction_section
 from valve_sim.identification.reporting.force_curves import Motion, force_curve, motion_of, unexplained_json
 from valve_sim.identification.reporting.record_next import profile_of, typed_commands, typed_option
-from valve_sim.identification.reporting.recording_state import limits_table, recording_section
+from valve_sim.identification.reporting.recording_state import limits_table, recording_sections
 from valve_sim.identification.reporting.strokes import strokes_followed, worst_first
 from valve_sim.identification.reporting.units import (
     change,
@@ -102,7 +102,7 @@ def diagnosis_document(
         _forces(diagnosis),
         _tried(diagnosis),
         values.declared_section(diagnosis.declared, is_valve=isinstance(diagnosis.plant, ValvePlant)),
-        recording_section(diagnosis.recording, noise, unit, is_unknown=verdict.kind == "unknown"),
+        *recording_sections(diagnosis.recording, noise, unit, is_unknown=verdict.kind == "unknown"),
         _use(diagnosis, folder, options, is_sure=is_sure),
         _made(diagnosis, provenance),
     ]

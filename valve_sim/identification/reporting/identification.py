@@ -14,7 +14,7 @@ from valve_sim.identification.plants.effect_titles import capitalised
 from valve_sim.identification.plants.protocol import READABLE_UNITS
 from valve_sim.identification.reporting.document import Curve, Document, Items, Panel, Plot, Plots, Row, Section, Table
 from valve_sim.identification.reporting.findings import remarks
-from valve_sim.identification.reporting.recording_state import recording_section
+from valve_sim.identification.reporting.recording_state import recording_sections
 from valve_sim.identification.reporting.units import in_unit, limits, measured, quantity, three_digits
 from valve_sim.identification.reporting.values import declared_section, intervals_json, remark_on
 from valve_sim.model import DECLARED
@@ -77,7 +77,7 @@ def identification_document(result: Identification) -> Document:
         },
         "remarks": findings,
     }
-    recording = recording_section(result.recording, noise.sigma, channel.unit)
+    recording = recording_sections(result.recording, noise.sigma, channel.unit)
     return Document(
         "Identification",
         [
@@ -86,7 +86,7 @@ def identification_document(result: Identification) -> Document:
             ),
             declared_section(result.declared, is_whole=True),
             Section("", [Items(errors)], rest),
-            recording,
+            *recording,
             Section("", [Items(findings)]),
         ],
     )

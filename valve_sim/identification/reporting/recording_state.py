@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
 from valve_sim.identification.diagnosis.recording_state import RecordingState
 from valve_sim.identification.fit.recorded_errors import RecordedError
 from valve_sim.identification.plants.effect_titles import capitalised, title_of
 from valve_sim.identification.plants.protocol import Plant
-from valve_sim.identification.reporting.document import Block, Document, Items, Row, Section, Spark, Table, Words
+from valve_sim.identification.reporting.document import Block, Document, Items, On, Row, Section, Spark, Table, Words
 from valve_sim.identification.reporting.findings import remarks
 from valve_sim.identification.reporting.units import percent, quantity, three_digits
 
@@ -43,7 +43,7 @@ def recording_document(state: RecordingState) -> Document:
     noise, unit = state.identification.fit.problem.noise.sigma, state.identification.primary_channel.unit
     findings = remarks(state.identification.findings)
     why = Words("Its errors cannot be told from what the declared model lacks; valve-sim diagnose looks for that.")
-    errors = errors_table({source: state.errors}, noise, unit) if state.errors else why
+    errors = errors_table(state.errors, noise, unit) if state.errors else why
     limits: list[Block] = [_limits_table(state)] if state.limits else []
     return Document(
         "State of a recording",
@@ -62,42 +62,40 @@ def recording_document(state: RecordingState) -> Document:
     )
 
 
-def recording_section(
+def recording_sections(
     errors: Mapping[str, Sequence[RecordedError]], noise: float, unit: str, *, is_unknown: bool = False
-) -> Section:
-    """What a report says of its recordings; a terminal shows the errors that are there.
+) -> Iterator[Section]:
+    """What a report says of each of its recordings; a terminal shows the errors that are there.
 
     Args:
         errors: by source. noise: standard deviation of the sensor's noise. unit: of both, SI, of the response.
         is_unknown: whether something unnamed acts, which errors would imitate.
     """
-    words = [Words(UNTOLD, style="doubt")] if is_unknown else []
-    table = errors_table(errors, noise, unit, is_brief=True, on="page" if is_unknown else "both")
-    has_any = any(errors.values())
-    return Section(
-        f"State of the recording {next(iter(errors))}" if len(errors) == 1 else "State of the recordings",
-        [*words, Words(LEGEND, style="soft", on="page"), table] if has_any else [],
-        {"recording": {source: [_entry_json(entry) for entry in entries] for source, entries in errors.items()}},
-    )
+    words: list[Block] = [Words(UNTOLD, style="doubt")] if is_unknown else []
+    words.append(Words(LEGEND, style="soft", on="page"))
+    for source, entries in errors.items():
+        table = errors_table(entries, noise, unit, is_brief=True, on="page" if is_unknown else "both")
+        yield Section(f"State of the recording {source}", [*words, table] if entries else [])
+        words = []
+    told = {source: [_entry_json(entry) for entry in entries] for source, entries in errors.items()}
+    yield Section(fields={"recording": told})
 
 
 def errors_table(
-    errors: Mapping[str, Sequence[RecordedError]], noise: float, unit: str, *, is_brief: bool = False, on: Any = "both"
+    entries: Sequence[RecordedError], noise: float, unit: str, *, is_brief: bool = False, on: On = "both"
 ) -> Table:
-    """A row for each error of each recording, and below it what to do, once for each kind of error."""
+    """A row for each error of a recording, and below what to do, once for each kind of error."""
     rows = []
-    for source, entries in errors.items():
-        for name, group in itertools.groupby(entries, key=lambda entry: entry.error):
-            alike = list(group)
-            last = next((entry for entry in reversed(alike) if entry.is_likely), None)
-            for entry in alike:
-                where = f", {source}" if len(errors) > 1 else ""
-                share = f"{abs(entry.size) / noise:.2g}" if entry.unit == unit and noise > 0.0 else "–"
-                advice = f"{capitalised(entry.what_to_do)}." if entry is last and name not in SMALL_TALK else ""
-                picture = Spark(entry.at, entry.shown, entry.over)
-                title = f"{entry.title} ({entry.detail})" if entry.detail else entry.title
-                cells = (f"{title}{where}", size_words(entry), share, percent(entry.probability), picture)
-                rows.append(Row(cells, name, note=advice, is_marked=entry.is_likely))
+    for name, group in itertools.groupby(entries, key=lambda entry: entry.error):
+        alike = list(group)
+        last = next((entry for entry in reversed(alike) if entry.is_likely), None)
+        for entry in alike:
+            share = f"{abs(entry.size) / noise:.2g}" if entry.unit == unit and noise > 0.0 else "–"
+            advice = f"{capitalised(entry.what_to_do)}." if entry is last and name not in SMALL_TALK else ""
+            title = f"{entry.title} ({entry.detail})" if entry.detail else entry.title
+            picture = Spark(entry.at, entry.shown, entry.over)
+            cells = (title, size_words(entry), share, percent(entry.probability), picture)
+            rows.append(Row(cells, name, note=advice, is_marked=entry.is_likely))
     return Table(("error", "size", "in noise", "probability", "picture"), rows, is_brief=is_brief, on=on)
 
 
