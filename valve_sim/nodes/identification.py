@@ -1,6 +1,6 @@
 """The node `identification`: a recording, a replay and a task wired to topics. No physics, no fitting.
 
-Threads: callbacks run in the main thread. A `Replay` thread publishes what is due, a `Task` thread refits, publishes
+Threads: a `Replay` thread publishes what is due, a `Task` thread refits, publishes
 the result and hands it on.
 """
 
@@ -85,18 +85,17 @@ class IdentificationNode(RosNode[IdentificationSettings]):
         self._before: Values = {}
         self._prediction: Prediction | None = None
         self._refusal = ""
-        self._task = Task(self._work, self._report)
+        self._task = Task(self._fit, self._report)
         rate, loop = self._settings.rate, self._settings.loop
         self._replay = Replay(self._clock, self._trace, rate=rate, loop=loop, player=self)
         self._threads += (self._replay, self._task)
         self._wire()
 
-    def spin(self) -> None:
-        """Replay, refit and answer until ROS is shut down."""
+    def _work(self) -> None:
         for finding in self._trace.findings:
             self._node.get_logger().warning(finding)
         self._replay.start()
-        super().spin()
+        super()._work()
 
     # --- wiring ---
 
@@ -156,7 +155,7 @@ class IdentificationNode(RosNode[IdentificationSettings]):
 
     # --- the task's thread ---
 
-    def _work(self, progress: Progress) -> str:
+    def _fit(self, progress: Progress) -> str:
         outcome = fit_or_diagnose(self._trace, self._declared, self._settings, self._folder, progress)
         self._prediction = predict(self._trace, outcome.valve, outcome.clock_offset, self._settings.mode)
         applied = None if self._remote is None else self._apply(outcome, self._remote)
@@ -185,7 +184,7 @@ class IdentificationNode(RosNode[IdentificationSettings]):
         is_done = self._replay.is_done and self._task.is_done
         if is_done and not self._settings.linger and self._node.context.ok():
             self._result.wait_for_all_acked(_DELIVERY)
-            self._node.context.try_shutdown()
+            self.stop.ask("all is done")
 
     def _apply(self, outcome: Outcome, remote: RemoteParameters) -> Applied:
         """Set what the recording determines, all of it at once or nothing; keep what the valve had."""
@@ -215,7 +214,7 @@ class IdentificationNode(RosNode[IdentificationSettings]):
         )
         return Applied(remote.name, True, changes=lines)
 
-    # --- callbacks, in the main thread ---
+    # --- callbacks ---
 
     async def _undo(self) -> Any:
         """Set the valve's former values; a thread waits for the reply, which this one must be free to receive."""

@@ -111,6 +111,17 @@ class LiveValve(LiveMachine[Stepper, Reading]):
             self._put(name, clock, pressure)
 
 
+def load_stepper(valve: Valve) -> None:
+    """Have every function at hand that a valve is stepped by."""
+    stepper = Stepper(valve)
+    stepper.command(1e-3, valve.parameters.reference_voltage)
+    stepper.set_valve(valve, 2e-3)
+    if valve.gas is not None:
+        stepper.supply(2e-3, valve.gas.inlet_pressure)
+        stepper.set_demand_pressure(2e-3, valve.gas.demand_pressure)
+    stepper.advance(3e-3)
+
+
 class SelfTest(NamedTuple):
     """Whether the valve opened fully and its main plunger, or the only one, seated again; and the event times."""
 

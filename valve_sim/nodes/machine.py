@@ -1,6 +1,6 @@
 """The shell of the node `valve`: parameters, topics and services wired to a live machine. No physics, no decisions.
 
-Threads: callbacks run in the main thread, and only store (parameters, resets, and what an `Inbox` receives). One
+Threads: callbacks only store (parameters, resets, and what an `Inbox` receives). One
 `Worker` thread loads the model, then empties the inbox, steps the machine and publishes; it consumes what was stored,
 each at its own time.
 """
@@ -91,10 +91,9 @@ class MachineNode(RosNode[ValveSettings], ABC, Generic[M, L]):
         )
         self._threads.append(self._worker)
 
-    def spin(self) -> None:
-        """Run until ROS is shut down."""
+    def _work(self) -> None:
         self._worker.start()
-        super().spin()
+        super()._work()
 
     # --- what is of one machine ---
 
@@ -240,7 +239,7 @@ class MachineNode(RosNode[ValveSettings], ABC, Generic[M, L]):
     def _expected_voltage(self) -> str:
         return f"a number within ±{self._settings.max_voltage:g} V (parameter max_voltage)"
 
-    # --- callbacks, in the main thread ---
+    # --- callbacks ---
 
     def _reset(self) -> tuple[bool, str]:
         self._inbox.deliver()  # what came before it

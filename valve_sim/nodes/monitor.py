@@ -1,6 +1,6 @@
 """The node `monitor`: segmenter, monitor and fault isolation wired to topics. No physics, no decisions.
 
-Threads: callbacks run in the main thread, and only store. One thread empties the inbox, where each sample is a step of
+Threads: callbacks only store. One thread empties the inbox, where each sample is a step of
 the model, some tens of microseconds; one scores strokes, another isolates the fault after an alarm; the live path waits
 for neither.
 """
@@ -27,6 +27,7 @@ from valve_sim.identification.reporting.monitoring_words import told_finding
 from valve_sim.model import ParameterError
 from valve_sim.nodes import topics
 from valve_sim.nodes.diagnostics import Level, Status
+from valve_sim.nodes.live_valve import load_stepper
 from valve_sim.nodes.messages import ReadingMessages
 from valve_sim.nodes.monitor_inputs import MonitorInputs, Takers
 from valve_sim.nodes.monitor_work import (
@@ -44,7 +45,7 @@ from valve_sim.nodes.monitor_work import (
 )
 from valve_sim.nodes.realtime import LONGEST_LEAP_SECONDS, NANOSECONDS, SubscriberCounts
 from valve_sim.nodes.settings import MonitorNodeSettings
-from valve_sim.nodes.threads import Repeating, load_stepper
+from valve_sim.nodes.threads import Repeating
 from valve_sim.nodes.valve_parameters import valve_of
 from valve_sim.nodes.wiring import RosNode, full_name
 from valve_sim.traces import Trace
@@ -115,11 +116,10 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
         self._threads += (self._delivery, self._monitor_thread, self._isolation)
         self._wire()
 
-    def spin(self) -> None:
-        """Monitor until ROS is shut down."""
+    def _work(self) -> None:
         self._monitor_thread.start()
         self._delivery.start()
-        super().spin()
+        super()._work()
 
     # --- wiring ---
 

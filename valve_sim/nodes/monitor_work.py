@@ -6,6 +6,7 @@ and each stroke.
 
 from __future__ import annotations
 
+import gc
 import math
 import queue
 import threading
@@ -93,6 +94,7 @@ class MonitorThread(StoppableThread):
 
     def _compare(self) -> None:
         self._prepare()
+        gc.freeze()  # as a `Worker` does
         while not self.is_stopping:
             record = self._waiting.get()
             if self._anew.is_set():

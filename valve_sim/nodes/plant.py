@@ -12,7 +12,6 @@ from valve_sim.nodes.live_plant import LivePlant, NodePlant, PlantParameters
 from valve_sim.nodes.machine import MachineNode
 from valve_sim.nodes.messages import JOINT_NAMES
 from valve_sim.nodes.parameters import PLANT_KEY, Value
-from valve_sim.nodes.threads import keep_loaded
 
 _JOINTS: Final = dict(zip(("position", "main_position"), JOINT_NAMES, strict=True))
 
@@ -48,7 +47,7 @@ class PlantNode(MachineNode[Mapping[str, float], LivePlant]):
         self._live.set_numbers(now, machine)
 
     def _prepare(self) -> None:
-        keep_loaded()  # it was compiled when its file was read
+        """It was compiled when its file was read."""
 
     def _self_test(self) -> tuple[bool, str]:
         return False, f"a self-test is of the valve; the machine of {self._plant.file.path} has none"

@@ -6,6 +6,7 @@ handed out, each with the time that it stands for.
 
 from __future__ import annotations
 
+import gc
 import math
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -195,6 +196,7 @@ class Worker(StoppableThread):
 
     def _follow(self) -> None:
         self._prepare()
+        gc.freeze()  # what is loaded stays: collecting it would stop the steps for tens of milliseconds
         pace = _Pace(self._clock, self._restart)
         while not self.is_stopping:
             schedule = pace.look(self._rate)

@@ -17,14 +17,13 @@ from valve_sim.model.gas import GAS
 from valve_sim.nodes import topics
 from valve_sim.nodes.diagnostics import Status, pressure_status
 from valve_sim.nodes.live_machine import Step
-from valve_sim.nodes.live_valve import LiveValve, self_test
+from valve_sim.nodes.live_valve import LiveValve, load_stepper, self_test
 from valve_sim.nodes.machine import MachineNode, ObeyedTopic
 from valve_sim.nodes.messages import IS_OPEN, JOINT_NAMES, ReadingMessages
 from valve_sim.nodes.node_clock import NodeClock
 from valve_sim.nodes.parameters import Value
 from valve_sim.nodes.realtime import Decimator, SubscriberCounts
 from valve_sim.nodes.receiving import Inbox
-from valve_sim.nodes.threads import load_stepper
 from valve_sim.nodes.valve_parameters import ValveSettings, valve_of, without_orphans
 from valve_sim.nodes.wiring import Interface
 
@@ -85,7 +84,7 @@ class ValveNode(MachineNode[Valve, LiveValve]):
                 self._said_open = is_open
                 self._is_open.publish(IS_OPEN[Phase(phase)])
 
-    # --- callbacks, in the main thread ---
+    # --- callbacks ---
 
     def _self_test(self) -> tuple[bool, str]:
         if not self._is_ready:
