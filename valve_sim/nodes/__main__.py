@@ -9,7 +9,7 @@ from valve_sim.nodes.starting import Program, chosen
 
 valve_node: Final = Program(
     "valve_node",
-    "valve_sim.nodes.machines:valve_node",
+    "valve_sim.nodes.valve:valve_node",
     """
     valve_node simulates a valve in real time on ROS 2 topics.
 
