@@ -8,13 +8,12 @@ for neither.
 from __future__ import annotations
 
 import contextlib
-import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from std_msgs.msg import Float64, String
+from std_msgs.msg import Float64
 
 from valve_sim.files.parameter_sections import Section
 from valve_sim.identification.monitoring.findings import Occasion, Prediction, StrokeRecord
@@ -22,7 +21,6 @@ from valve_sim.identification.monitoring.memory import load_commissioning, save_
 from valve_sim.identification.monitoring.scores import Baseline
 from valve_sim.identification.monitoring.segmenter import StrokeSegmenter
 from valve_sim.identification.monitoring.stroke_monitor import StrokeMonitor, StrokeReport
-from valve_sim.identification.reporting.monitoring import stroke_json
 from valve_sim.identification.reporting.monitoring_words import told_finding
 from valve_sim.model import ParameterError
 from valve_sim.nodes import topics
@@ -130,7 +128,6 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
         self._subscribers = SubscriberCounts(
             self._predicted.get_subscription_count, self._residual.get_subscription_count
         )
-        self._stroke_diagnostics = interface.publisher("~/stroke_diagnostics")
         self._stroke_report = interface.publisher("~/stroke_report")
         self._finding = interface.publisher("~/finding")
         self._messages = ReadingMessages(self._settings.frame_id)
@@ -271,8 +268,7 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
 
     def _report(self, report: StrokeReport) -> None:
         self._last_report = report
-        self._stroke_report.publish(String(data=json.dumps(stroke_json(report, self._valve), ensure_ascii=False)))
-        self._stroke_diagnostics.publish(self._diagnostics([stroke_status(report)], report.record.stamp))
+        self._stroke_report.publish(self._diagnostics([stroke_status(report, self._valve)], report.record.stamp))
         self._keep()
         if change := self._health.look(report, self._stroke_monitor):
             self._log(*change)

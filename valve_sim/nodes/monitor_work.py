@@ -10,15 +10,15 @@ import gc
 import math
 import queue
 import threading
-from collections.abc import Callable, Iterator, Mapping
-from typing import Any, Final, NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Final, NamedTuple
 
 from valve_sim.identification.monitoring.agreement import Agreement
 from valve_sim.identification.monitoring.fault_isolation import FaultFinding, isolate_fault
 from valve_sim.identification.monitoring.findings import Fault, Occasion, StrokeRecord, StrokeState
 from valve_sim.identification.monitoring.scores import Baseline
 from valve_sim.identification.monitoring.stroke_monitor import StrokeMonitor, StrokeReport
-from valve_sim.identification.reporting.monitoring import finding_json
+from valve_sim.identification.reporting.monitoring import finding_json, keys_and_values, stroke_json
 from valve_sim.identification.reporting.monitoring_words import (
     TIMING_UNCERTAIN,
     fault_words,
@@ -235,7 +235,7 @@ def health_status(
         "scatter of commands (ms)": number_words(1e3 * monitor.command_scatter, ".3f"),
         "highest sum": "none" if last is None or math.isnan(last.sum) else f"{last.sum:.2f} ({last.cause})",
         "threshold": "none" if last is None else number_words(last.threshold, ".2f"),
-        **({"residual (µm)": "none"} if last is None else _texts(_errors(last, "residual"))),
+        **({"residual (µm)": "none"} if last is None else _residual(last)),
         "cause": cause,
     }
     if fault is None and last is not None and not last.has_positions:
@@ -287,45 +287,17 @@ def isolation_status(isolation: FaultIsolation) -> Status:
     return Status("fault isolation", Level.OK, "idle", {})
 
 
-def stroke_status(report: StrokeReport) -> Status:
-    """The figures of one stroke as numbers that can be plotted; nan for what is not known."""
-    damping = {f"{name} (N·s·m⁻¹)": interval.value for name, interval in report.damping.items()}
-    values = {
-        "stroke": report.record.number,
-        "opening delay (ms)": 1e3 * report.opening_delay,
-        "t1 (ms)": 1e3 * report.t1,
-        "t2 (ms)": 1e3 * report.t2,
-        "closing time (ms)": 1e3 * report.closing_time,
-        **{f"{name} error (ms)": 1e3 * s for name, s in zip(("t1", "t2", "closing time"), report.errors, strict=True)},
-        **_errors(report, "residual", "noise"),
-        "scatter of commands (ms)": 1e3 * report.command_scatter,
-        "highest sum": report.sum,
-        "threshold": report.threshold,
-        **damping,
-        **{f"score {name}": score for name, score in report.scores.items()},
-    }
+def stroke_status(report: StrokeReport, valve: str) -> Status:
+    """A stroke as keys and values, each figure a number in SI units; what is not known is left out."""
     level, words = _verdict_on(report)
-    return Status("stroke", level, words, {name: f"{value:.6g}" for name, value in values.items()})
+    return Status("stroke", level, words, dict(keys_and_values(stroke_json(report, valve))))
 
 
 def finding_status(found: Found) -> Status:
-    """A finding as keys and values: the kind of its verdict, the effects and their sizes, and how sure all that is.
-
-    What is nested in JSON has its names joined by dots, such as "parameters.coulomb_friction.force.value".
-    """
+    """A finding as keys and values: the kind of its verdict, the effects and their sizes, and how sure all that is."""
     told = finding_json(*found)
     values = {name: value for name, value in told.items() if name not in ("schema", "summary")}
-    return Status("finding", Level.WARN, told["summary"], dict(_flat(values, "")))
-
-
-def _flat(found: Any, prefix: str) -> Iterator[tuple[str, str]]:
-    if isinstance(found, Mapping):
-        for name, value in found.items():
-            yield from _flat(value, f"{prefix}.{name}" if prefix else name)
-    elif isinstance(found, list):
-        yield prefix, ", ".join(map(str, found))
-    else:
-        yield prefix, "none" if found is None else str(found)
+    return Status("finding", Level.WARN, told["summary"], dict(keys_and_values(values)))
 
 
 def _verdict_on(report: StrokeReport) -> tuple[Level, str]:
@@ -343,10 +315,9 @@ def _state(monitor: StrokeMonitor) -> StrokeState:
     return StrokeState.TIMING_UNCERTAIN if monitor.is_timing_uncertain else StrokeState.WATCHING
 
 
-def _errors(report: StrokeReport, *names: str) -> dict[str, float]:
-    """The residual, and the noise, of the position in µm, or of the current alone in mA."""
-    values = {"residual": report.rms, "noise": report.noise}
-    return {_with_unit(name, report.has_positions): _scale(report.has_positions) * values[name] for name in names}
+def _residual(report: StrokeReport) -> dict[str, str]:
+    """Of the position in µm, or of the current alone in mA."""
+    return _texts({_with_unit("residual", report.has_positions): _scale(report.has_positions) * report.rms})
 
 
 def _with_unit(name: str, has_positions: bool) -> str:

@@ -1,7 +1,8 @@
-"""The report on a stroke, and the finding after an alarm, as JSON."""
+"""The report on a stroke, and the finding after an alarm, as JSON and as keys and values."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from valve_sim.files.json_text import plain_mapping
@@ -20,7 +21,6 @@ from valve_sim.identification.reporting.monitoring_words import (
 
 def stroke_json(report: StrokeReport, valve: str) -> dict[str, Any]:
     """Plain numbers in SI units; null for what is not known."""
-    largest = sorted(report.scores.items(), key=lambda item: -abs(item[1]))[:3]
     plain = {
         "schema": "valve_sim/stroke/1",
         "valve": valve,
@@ -40,7 +40,7 @@ def stroke_json(report: StrokeReport, valve: str) -> dict[str, Any]:
         **_errors(report),
         "command_scatter": report.command_scatter,
         "damping": intervals_json(report.damping),
-        "scores": dict(largest),
+        "scores": report.scores,
         "alarm": {
             "raised": report.alarm is not None,
             "cause": (report.alarm.cause if report.alarm else report.cause) or None,
@@ -49,6 +49,16 @@ def stroke_json(report: StrokeReport, valve: str) -> dict[str, Any]:
         },
     }
     return plain_mapping(plain)
+
+
+def keys_and_values(report: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
+    """A report as texts: nested names are joined by dots, such as "alarm.sum"; what is not known is left out."""
+    for name, value in report.items():
+        if isinstance(value, Mapping):
+            yield from keys_and_values(value, f"{prefix}{name}.")
+        elif value is not None:
+            text = ", ".join(map(str, value)) if isinstance(value, list) else str(value)
+            yield f"{prefix}{name}", text.lower() if isinstance(value, bool) else text
 
 
 def _errors(report: StrokeReport) -> dict[str, float]:
