@@ -8,17 +8,14 @@ from __future__ import annotations
 
 import contextlib
 import queue
-import threading
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
-from rclpy.task import Future
 from std_msgs.msg import Float64, String
 
 from valve_sim.files.parameter_files import default_valve, load_recorded_valve
@@ -82,7 +79,6 @@ class IdentificationNode(RosNode[IdentificationSettings]):
         self._trace = read_recording(self._settings, self._declared)
         self._voltages = measured_voltages(self._trace)
         self._remote = RemoteParameters(self._node, target) if target else None
-        self._before: Values = {}
         self._prediction: Prediction | None = None
         self._refusal = ""
         self._task = Task(self._fit, self._report)
@@ -110,8 +106,6 @@ class IdentificationNode(RosNode[IdentificationSettings]):
         self._result = interface.publisher("~/result")
         self._messages = ReadingMessages("")
         self._publish_diagnostics(self._statuses)
-        # A callback group of its own: while it waits for the valve, the reply needs the other group.
-        interface.serve("~/undo", self._undo, MutuallyExclusiveCallbackGroup())
 
     # --- the replay's thread ---
 
@@ -198,7 +192,6 @@ class IdentificationNode(RosNode[IdentificationSettings]):
             remote.set(new)
         except ParameterError as error:
             return Applied(remote.name, False, str(error))
-        self._before = {name: old[name] for name, value in new.items() if old[name] != value}
         if outcome.objection:
             logger.warning(f"{remote.name} is given the result although {outcome.objection} (apply_always)")
         lines = change_lines(old, new, outcome.intervals)
@@ -208,37 +201,10 @@ class IdentificationNode(RosNode[IdentificationSettings]):
             logger.info(
                 f"{remote.name}: as declared, because the recording does not determine it: {', '.join(outcome.held)}"
             )
-        logger.info(
-            f"undo: `ros2 param load {remote.name} {(self._folder / BEFORE_FILE).resolve()}`, or, while this node "
-            f"runs (linger:=true), its service ~/undo"
-        )
+        logger.info(f"undo: `ros2 param load {remote.name} {(self._folder / BEFORE_FILE).resolve()}`")
         return Applied(remote.name, True, changes=lines)
 
     # --- callbacks ---
-
-    async def _undo(self) -> Any:
-        """Set the valve's former values; a thread waits for the reply, which this one must be free to receive."""
-        taken_back: Future = Future()
-
-        def take_back() -> None:
-            taken_back.set_result(self._take_back())
-            if self._node.executor is not None:
-                self._node.executor.wake()
-
-        threading.Thread(target=take_back, name="undo", daemon=True).start()
-        return await taken_back
-
-    def _take_back(self) -> tuple[bool, str]:
-        if self._remote is None or not self._before:
-            return False, "nothing was set that could be taken back"
-        try:
-            self._remote.set(self._before)
-        except ParameterError as error:
-            return False, str(error)
-        words = f"{self._remote.name} has its own values again: {', '.join(self._before)}"
-        self._node.get_logger().info(words)
-        self._before = {}
-        return True, words
 
     def _statuses(self) -> Sequence[Status]:
         model = "none yet" if self._prediction is None else self._prediction.model

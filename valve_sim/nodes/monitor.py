@@ -21,7 +21,7 @@ from valve_sim.identification.monitoring.memory import load_commissioning, save_
 from valve_sim.identification.monitoring.scores import Baseline
 from valve_sim.identification.monitoring.segmenter import StrokeSegmenter
 from valve_sim.identification.monitoring.stroke_monitor import StrokeMonitor, StrokeReport
-from valve_sim.identification.reporting.monitoring_words import told_finding
+from valve_sim.identification.reporting.monitoring_words import occasion_words, told_finding
 from valve_sim.model import ParameterError
 from valve_sim.nodes import topics
 from valve_sim.nodes.diagnostics import Level, Status
@@ -31,11 +31,11 @@ from valve_sim.nodes.monitor_inputs import MonitorInputs, Takers
 from valve_sim.nodes.monitor_work import (
     FaultIsolation,
     Found,
-    HealthLog,
     InputCount,
     MonitorThread,
     StampCheck,
     finding_status,
+    health_of,
     health_status,
     isolation_status,
     model_status,
@@ -99,7 +99,7 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
         if self._kept is not None:
             self._stroke_monitor.use(self._kept)
         self._isolation = FaultIsolation(self._tell)
-        self._health = HealthLog(self._valve)
+        self._state_told = ""
         self._last_report: StrokeReport | None = None
         self._baseline: Baseline | None = None
         self._is_ready = self._is_heard = False
@@ -249,7 +249,9 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
             self._node.get_logger().warning(stamps, throttle_duration_sec=BETWEEN_REMINDERS)
         wanted = self._settings.commissioning_strokes
         return (
-            health_status(self._segmenter.fault, self._stroke_monitor, self._last_report, wanted, self._isolation),
+            health_status(
+                self._segmenter.fault, self._stroke_monitor, self._last_report, wanted, self._isolation.found
+            ),
             model_status(self._stroke_monitor),
             self._input.status(self._clock.elapsed(), self._monitor_thread.lost, waiting_for, unheard, stamps),
             isolation_status(self._isolation),
@@ -270,8 +272,12 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
         self._last_report = report
         self._stroke_report.publish(self._diagnostics([stroke_status(report, self._valve)], report.record.stamp))
         self._keep()
-        if change := self._health.look(report, self._stroke_monitor):
-            self._log(*change)
+        wanted = self._settings.commissioning_strokes
+        level, state, words = health_of(self._stroke_monitor, report.record.fault, self._isolation.found, wanted)
+        if state != self._state_told:
+            self._state_told = state
+            occasion = Occasion(self._valve, report.record.number, report.record.stamp)
+            self._log(level, f"{occasion_words(occasion)}, {report.volts:.1f} V: {words}")
 
     def _keep(self) -> None:
         """Write the state file once commissioning is complete."""

@@ -22,7 +22,6 @@ from valve_sim.identification.reporting.monitoring import finding_json, keys_and
 from valve_sim.identification.reporting.monitoring_words import (
     TIMING_UNCERTAIN,
     fault_words,
-    occasion_words,
     remark_words,
     shared_delay_words,
     state_words,
@@ -222,12 +221,43 @@ class _Cancelled(Exception):  # noqa: N818 -- not an error: the node ends
     """What is being isolated is no longer wanted."""
 
 
+class Health(NamedTuple):
+    """Whether a valve is as commissioned: the level, a name that stays as long as nothing changes, and words."""
+
+    level: Level
+    state: str
+    words: str
+
+
+def health_of(monitor: StrokeMonitor, fault: Fault | None, found: Found | None, wanted: int) -> Health:
+    """ERROR where the valve does not open or close, WARN where it has changed.
+
+    Args:
+        fault: of the stroke that is going on, or of the last one. found: the last finding.
+        wanted: strokes that commissioning takes.
+    """
+    if fault is not None:
+        return Health(Level.ERROR, "fault", fault_words(fault))
+    alarm, scatter = monitor.alarm, monitor.command_scatter
+    if alarm is not None:
+        changed = f"the strokes since number {alarm.began} are not those of the commissioned valve"
+        is_traced = found is not None and found.occasion.stroke >= alarm.began
+        cause = told_finding(*found) if found is not None and is_traced else f"most in the direction of {alarm.cause}"
+        return Health(Level.WARN, "alarm", f"{changed}: {cause}")
+    if monitor.baseline is None:
+        words = f"commissioning, {monitor.commissioned} of {wanted} strokes"
+        return Health(Level.OK, state_words(StrokeState.COMMISSIONING), words)
+    if monitor.is_timing_uncertain:
+        words = f"commands are obeyed {1e3 * scatter:.1f} ms sooner or later than they come in; the shape of strokes is"
+        return Health(Level.OK, TIMING_UNCERTAIN, f"{TIMING_UNCERTAIN}: {words} as commissioned")
+    shared = f"{shared_delay_words(monitor.shared_delay)}; else " if monitor.shared_delay else ""
+    return Health(Level.OK, state_words(StrokeState.WATCHING), f"{shared}as commissioned")
+
+
 def health_status(
-    fault: Fault | None, monitor: StrokeMonitor, last: StrokeReport | None, wanted: int, isolation: FaultIsolation
+    fault: Fault | None, monitor: StrokeMonitor, last: StrokeReport | None, wanted: int, found: Found | None
 ) -> Status:
-    """Whether the valve is as commissioned: ERROR where it does not open or close, WARN where it has changed."""
-    found, alarm = isolation.found, monitor.alarm
-    cause = "" if found is None else told_finding(*found)
+    """`health_of` a valve, and the figures of its `last` stroke; `fault` of the stroke that is going on."""
     values = {
         "strokes": "0" if last is None else str(last.record.number + 1),
         "alarms": str(monitor.alarms),
@@ -236,26 +266,12 @@ def health_status(
         "highest sum": "none" if last is None or math.isnan(last.sum) else f"{last.sum:.2f} ({last.cause})",
         "threshold": "none" if last is None else number_words(last.threshold, ".2f"),
         **({"residual (µm)": "none"} if last is None else _residual(last)),
-        "cause": cause,
+        "cause": "" if found is None else told_finding(*found),
     }
     if fault is None and last is not None and not last.has_positions:
         fault = last.record.fault
-    if fault is not None:
-        return Status("valve", Level.ERROR, fault_words(fault), values)
-    if alarm is not None:
-        changed = f"the strokes since number {alarm.began} are not those of the commissioned valve"
-        if found is None or found.occasion.stroke < alarm.began:
-            cause = f"most in the direction of {alarm.cause}"
-        return Status("valve", Level.WARN, f"{changed}: {cause}", values)
-    if monitor.baseline is None:
-        return Status("valve", Level.OK, f"commissioning, {monitor.commissioned} of {wanted} strokes", values)
-    if monitor.is_timing_uncertain:
-        scatter = f"commands are obeyed {1e3 * monitor.command_scatter:.1f} ms sooner or later than they come in"
-        words = f"{TIMING_UNCERTAIN}: {scatter}; the shape of strokes is as commissioned"
-        return Status("valve", Level.OK, words, values)
-    if monitor.shared_delay:
-        return Status("valve", Level.OK, f"{shared_delay_words(monitor.shared_delay)}; else as commissioned", values)
-    return Status("valve", Level.OK, "as commissioned", values)
+    health = health_of(monitor, fault, found, wanted)
+    return Status("valve", health.level, health.words, values)
 
 
 def model_status(monitor: StrokeMonitor) -> Status:
@@ -330,43 +346,6 @@ def _scale(has_positions: bool) -> float:
 
 def _texts(values: Mapping[str, float]) -> dict[str, str]:
     return {name: number_words(value, ".3f") for name, value in values.items()}
-
-
-class HealthLog:
-    """A line for the log whenever the state of the valve changes.
-
-    Args:
-        valve: full name of its node.
-    """
-
-    def __init__(self, valve: str) -> None:
-        self._valve = valve
-        self._state = ""
-
-    def look(self, report: StrokeReport, monitor: StrokeMonitor) -> tuple[Level, str] | None:
-        """Level and words after this stroke; None where nothing has changed."""
-        level, state, words = _health(report, monitor)
-        if state == self._state:
-            return None
-        self._state = state
-        occasion = Occasion(self._valve, report.record.number, report.record.stamp)
-        return level, f"{occasion_words(occasion)}, {report.volts:.1f} V: {words}"
-
-
-def _health(report: StrokeReport, monitor: StrokeMonitor) -> tuple[Level, str, str]:
-    """Level, name of the state, and message."""
-    if report.record.fault is not None:
-        return Level.ERROR, "fault", fault_words(report.record.fault)
-    alarm = monitor.alarm
-    if alarm is not None:
-        words = f"not as commissioned since stroke {alarm.began}, most in the direction of {alarm.cause}"
-        return Level.WARN, "alarm", words
-    if monitor.baseline is None:
-        return Level.OK, state_words(StrokeState.COMMISSIONING), "commissioning has begun"
-    if monitor.is_timing_uncertain:
-        words = f"commands scatter by {1e3 * monitor.command_scatter:.1f} ms; shapes are judged"
-        return Level.OK, TIMING_UNCERTAIN, f"{TIMING_UNCERTAIN}: {words}"
-    return Level.OK, state_words(StrokeState.WATCHING), "as commissioned"
 
 
 class StampCheck:

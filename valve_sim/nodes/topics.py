@@ -104,7 +104,6 @@ IDENTIFICATION: Final = (
     Topic("~/residual", _FLOAT, "out", "measured less predicted position, or else current", "m or A", DEEP),
     Topic("~/result", _TEXT, "out", "the report in JSON, when it is known", qos=LATCHED),
     Topic("/diagnostics", _DIAGNOSTICS, "out", "replay and identification, at 1 Hz", qos=DEEP),
-    _service("~/undo", "gives the valve of apply_to its own values back"),
 )
 MONITOR: Final = (
     Topic("{valve}/coil_voltage", _FLOAT, "in", "the commands", "V", DEEP),

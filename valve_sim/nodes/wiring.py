@@ -7,14 +7,12 @@ and ROS is there until the last command, 0 V, is heard.
 from __future__ import annotations
 
 import importlib
-import inspect
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Generic, Protocol
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
-from rclpy.callback_groups import CallbackGroup
 from rclpy.executors import ExternalShutdownException
 from rclpy.expand_topic_name import expand_topic_name
 from rclpy.node import Node
@@ -138,17 +136,15 @@ class Interface:
         topic = self._topics[name, "in"]
         return inbox.subscribe(kind_of(topic.type), self._filled(name, places), take, profile(topic.qos))
 
-    def serve(self, name: str, answer: Callable[[], Any], group: CallbackGroup | None = None, **places: str) -> None:
-        """Answer a Trigger: `answer`, which may be a coroutine, says whether it was done, and what to say."""
+    def serve(self, name: str, answer: Callable[[], tuple[bool, str]], **places: str) -> None:
+        """Answer a Trigger: `answer` says whether it was done, and what to say."""
         ask = guarded(answer)
 
-        async def respond(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-            found = ask()
-            response.success, response.message = await found if inspect.isawaitable(found) else found
+        def respond(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            response.success, response.message = ask()
             return response
 
-        kind = kind_of(self._topics[name, "service"].type)
-        self._node.create_service(kind, self._filled(name, places), respond, callback_group=group)
+        self._node.create_service(kind_of(self._topics[name, "service"].type), self._filled(name, places), respond)
 
     def _filled(self, name: str, places: Mapping[str, str]) -> str:
         return name.format(**self._places, **places)
