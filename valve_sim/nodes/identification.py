@@ -82,8 +82,10 @@ class IdentificationNode(RosNode[IdentificationSettings]):
         self._prediction: Prediction | None = None
         self._refusal = ""
         self._task = Task(self._fit, self._report)
-        rate, loop = self._settings.rate, self._settings.loop
-        self._replay = Replay(self._clock, self._trace, rate=rate, loop=loop, player=self)
+        self._replay = Replay(
+            self._clock, self._trace, rate=self._settings.rate, loop=self._settings.loop, prepare=self._prepare,
+            play=self._play, end=self._end, fail=self._fail,
+        )  # fmt: skip
         self._threads += (self._replay, self._task)
         self._wire()
 
@@ -109,13 +111,9 @@ class IdentificationNode(RosNode[IdentificationSettings]):
 
     # --- the replay's thread ---
 
-    def prepare(self) -> None:
+    def _prepare(self) -> None:
         """Simulate the declared valve, and log what is about to be played."""
         self._prediction = predict(self._trace, self._declared, 0.0, "declared")
-        self._say_ready()
-        self._task.start()
-
-    def _say_ready(self) -> None:
         own = self._settings
         what = f"refits {', '.join(freed(own, self._declared))}" if own.mode == "identify" else "diagnoses it"
         topic = (self._measured if self._trace.has_positions else self._measured_coil).topic_name
@@ -123,29 +121,25 @@ class IdentificationNode(RosNode[IdentificationSettings]):
             f"ready: replays {own.bag} on {topic} beside the model, {what}; the result comes on "
             f"{self._result.topic_name} and in {self._folder.resolve()}"
         )
+        self._task.start()
 
-    def command(self, index: int) -> None:
-        """Publish one command of the recording."""
-        self._voltage.publish(Float64(data=float(self._trace.drive.volts[index])))
-
-    def sample(self, index: int) -> None:
-        """Publish one sample of the recording, the prediction, and the residual."""
+    def _play(self, place: int) -> None:
+        """Publish one command of the recording, or one sample, the prediction, and the residual."""
+        if place < 0:
+            self._voltage.publish(Float64(data=float(self._trace.drive.volts[-1 - place])))
+            return
         assert self._prediction is not None
-        measured, predicted = measured_reading(self._trace, index), self._prediction.reading(index)
+        measured, predicted = measured_reading(self._trace, place), self._prediction.reading(place)
         stamp = self._trace.epoch_ns + round(measured.time * 1e9)
         self._predicted.publish(self._messages.joint_states(stamp, predicted))
         if self._trace.has_positions:
             self._measured.publish(self._messages.joint_states(stamp, measured))
             self._residual.publish(Float64(data=measured.pilot_position - predicted.pilot_position))
             return
-        volts = float(self._voltages[index])
+        volts = float(self._voltages[place])
         self._measured_coil.publish(self._messages.coil(stamp, measured.coil_current, volts))
         self._predicted_coil.publish(self._messages.coil(stamp, predicted.coil_current, volts))
         self._residual.publish(Float64(data=measured.coil_current - predicted.coil_current))
-
-    def fail(self, error: Exception) -> None:
-        """End the node because the replay failed."""
-        self._fail(error)
 
     # --- the task's thread ---
 
@@ -171,10 +165,10 @@ class IdentificationNode(RosNode[IdentificationSettings]):
             logger = self._node.get_logger()
             if words != self._refusal:
                 (logger.info if is_good else logger.error)(words)
-            self.end()
+            self._end()
 
-    def end(self) -> None:
-        """Called at the end of the replay and of the task; the second call ends the node."""
+    def _end(self) -> None:
+        """At the end of the replay and of the task; the second call ends the node."""
         is_done = self._replay.is_done and self._task.is_done
         if is_done and not self._settings.linger and self._node.context.ok():
             self._result.wait_for_all_acked(_DELIVERY)
