@@ -111,7 +111,7 @@ def timeline(trace: Trace, rate: float) -> tuple[NDArray[np.int64], NDArray[np.i
     """When each command and sample is due, in order; a command precedes a sample of equal time.
 
     Returns:
-        (k + n,) ns after the replay's start, all 0 at rate 0; and (k + n,) index of a sample, or −1 − that of a command.
+        (k + n,) ns after the start, all 0 at rate 0; and (k + n,) index of a sample, or −1 − that of a command.
     """
     times = np.concatenate([trace.drive.times, trace.sample_times])
     commands = len(trace.drive.times)
