@@ -41,6 +41,8 @@ LONGEST_WAIT: Final = 60.0
 """s that a sample may have waited on its way; what is older is of another clock."""
 SAME_WAIT: Final = 0.05
 """s by which the waits of samples differ at most, within a second, on a machine that is not busy."""
+BETWEEN_LOOKS: Final = 1.5
+"""s from one look at the stamps to the next, at most."""
 SILENT_SECONDS: Final = 2.0
 """Time without samples after which the input is a warning."""
 
@@ -352,12 +354,14 @@ class StampCheck:
     """Compares the stamps of samples with the node's own clock, by which commands are timed: they must be one clock.
 
     A clock that is wrong is so by the same time for each sample. Samples that wait, in a driver or on a busy machine,
-    differ in how long: by more than the least of it, or, where clocks were seen to agree, by more than a moment.
+    differ in how long, by more than the least of it; and where clocks were seen to agree, the least grows no faster
+    than time goes on.
     """
 
     def __init__(self) -> None:
         self._begin()
-        self._agreed = False
+        self._waited = math.nan
+        """s that samples had waited at the last look; nan where clocks were not seen to agree."""
 
     def _begin(self) -> None:
         self._topic, self._least, self._most = "", math.inf, -math.inf
@@ -375,10 +379,15 @@ class StampCheck:
         """What is wrong with the stamps since the last look, and the mend; empty where nothing is, or none came."""
         topic, least, most = self._topic, self._least / NANOSECONDS, self._most / NANOSECONDS
         self._begin()
-        if not FARTHEST_STAMP < abs(least) < math.inf:
-            self._agreed = self._agreed or bool(topic)
+        if not topic:
             return ""
-        if 0.0 < least < LONGEST_WAIT and most - least > (SAME_WAIT if self._agreed else least):
+        is_one_clock = abs(least) <= FARTHEST_STAMP
+        has_grown = least - self._waited <= BETWEEN_LOOKS and most - least > SAME_WAIT
+        has_waited = 0.0 < least < LONGEST_WAIT and (has_grown or most - least > least)
+        self._waited = least if is_one_clock or has_waited else math.nan
+        if is_one_clock:
+            return ""
+        if has_waited:
             return (
                 f"{topic} comes {_duration(least)} to {_duration(most)} after its stamps, held back by its driver or a "
                 "busy machine; send each sample at once, or fewer of them"
