@@ -409,8 +409,9 @@ def _residual(found: Fit) -> Residual:
     index = primary_channels(problem.plant)[0]
     channel = problem.plant.channels[index]
     is_fitted = problem.weight(index) > 0.0
-    if channel.left_out is not None:
-        is_fitted &= ~channel.left_out
+    left_out = problem.left_out(index)
+    if left_out is not None:
+        is_fitted &= ~left_out
     left = (channel.data - found.shown()[index])[is_fitted]
     return Residual(channel.times[is_fitted], left, problem.noise_of(index).sigma, channel.unit)
 
