@@ -105,8 +105,8 @@ class LiveMonitor:
         """After a sample: hand on what was predicted, and strokes that it has ended."""
         if self.segmenter.by_current is not self._is_by_current:
             self._is_by_current = self.segmenter.by_current
-            alone = "the coil's current alone: no position comes"
-            self._warn(f"goes by {alone if self._is_by_current else 'positions'}", False)
+            alone = "goes by the coil's current alone: no position comes"
+            self._warn(alone if self._is_by_current else "goes by positions", False)
         if prediction is None:
             self.input.reject(f"{sample} at {stamp} ns, the last at {self._last_stamp} ns")
             return
