@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from datetime import datetime, timezone
 from typing import Any, Final
 
@@ -196,7 +197,6 @@ def _mm(metres: float) -> str:
 
 def stroke_json(report: StrokeReport, valve: str) -> dict[str, Any]:
     """Plain numbers in SI units; null for what is not known."""
-    largest = sorted(report.scores.items(), key=lambda item: -abs(item[1]))[:3]
     plain = {
         "schema": "valve_sim/stroke/1",
         "valve": valve,
@@ -216,7 +216,7 @@ def stroke_json(report: StrokeReport, valve: str) -> dict[str, Any]:
         **_errors(report),
         "command_scatter": report.command_scatter,
         "damping": intervals_json(report.damping),
-        "scores": dict(largest),
+        "scores": report.scores,
         "alarm": {
             "raised": report.alarm is not None,
             "cause": (report.alarm.cause if report.alarm else report.cause) or None,
@@ -225,6 +225,16 @@ def stroke_json(report: StrokeReport, valve: str) -> dict[str, Any]:
         },
     }
     return plain_mapping(plain)
+
+
+def keys_and_values(report: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
+    """A report as texts: nested names are joined by dots, such as "alarm.sum"; what is not known is left out."""
+    for name, value in report.items():
+        if isinstance(value, Mapping):
+            yield from keys_and_values(value, f"{prefix}{name}.")
+        elif value is not None:
+            text = ", ".join(map(str, value)) if isinstance(value, list) else str(value)
+            yield f"{prefix}{name}", text.lower() if isinstance(value, bool) else text
 
 
 def _errors(report: StrokeReport) -> dict[str, float]:
