@@ -31,7 +31,7 @@ class Directions:
     """How the input of a run changes with k parameters: its derivatives by them.
 
     Attributes:
-        numbers: (k, m) of the valve's numbers, in the order of `Valve.plan().parameters`.
+        numbers: (k, m) of the valve's numbers, in the order of `Valve.names_of_numbers`.
         command_times: (k, c) of the commands' times. command_volts: (k, c) of their voltages.
         sample_times: (k,) of all sample times: −1 for a clock whose samples are stamped late.
     """
@@ -48,7 +48,7 @@ class Directions:
         Raises:
             ParameterError: the valve has no such parameter.
         """
-        known = valve.plan().parameters
+        known = valve.names_of_numbers()
         numbers = np.zeros((len(names), len(known)))
         for row, name in enumerate(names):
             if name not in known:

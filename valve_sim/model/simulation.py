@@ -152,7 +152,7 @@ def run_numbers(
 
     Args:
         valve: whose effects all have.
-        numbers: (k, m) the numbers of each in the order of the plan's parameters, see `Valve.numbers`.
+        numbers: (k, m) the numbers of each in the order of `Valve.names_of_numbers`.
         drive: the commanded voltage.
         sample_times: (n,) s, ascending.
         tolerance: relative error of one step.
@@ -169,7 +169,7 @@ def run_numbers(
     positions = np.empty((len(numbers), len(times)))
     commands = commands_of(drive)
     start = start_of(drive, times)
-    plan = valve.plan()
+    plan = valve.plan(runs=len(numbers))
     blank = plan.blank.copy()
     blank[layout.TOLERANCE] = tolerance
     workers = threads or os.cpu_count() or 1

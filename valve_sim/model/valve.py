@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.model.core.equations import NEUTRAL
+from valve_sim.model.core.equations import NEUTRAL, names_of_numbers
 from valve_sim.model.core.flux import why_no_flux
 from valve_sim.model.core.plan import Plan, plan_of
 from valve_sim.model.core.symbols import Own
@@ -87,13 +87,13 @@ class Valve:
             raise ParameterError(f"{source}: effects.{why_not}")
         return valve
 
-    def plan(self, width: int = 0) -> Plan:
-        """The compiled equations of a valve with these effects, with so many directions of derivatives."""
+    def plan(self, width: int = 0, runs: int = 1) -> Plan:
+        """Its equations with these effects, compiled, with so many directions of derivatives, for some runs."""
         effects = tuple([CATALOGUE[name] for name in (*self._own_effects(), *ALWAYS)])
         gas = self.gas
         return plan_of(
             effects, self._shapes(), width, freewheels=self.parameters.release_voltage > 0.0, has_gas=gas is not None,
-            has_demand=gas is not None and gas.demand_orifice_diameter > 0.0,
+            has_demand=gas is not None and gas.demand_orifice_diameter > 0.0, runs=runs,
         )  # fmt: skip
 
     def _own_effects(self) -> list[str]:
@@ -101,7 +101,7 @@ class Valve:
         return [name for name in self.effects if name not in ALWAYS]
 
     def numbers(self) -> Array:
-        """The numbers of this valve in the order of `plan().parameters`; those that are not given are neutral."""
+        """The numbers of this valve in the order of `names_of_numbers`; those that are not given are neutral."""
         before, polynomial, after = (
             self.parameters[:_POLYNOMIAL], self.parameters[_POLYNOMIAL], self.parameters[_POLYNOMIAL + 1 :],
         )  # fmt: skip
@@ -112,6 +112,11 @@ class Valve:
         if self.gas is not None:
             values += self.gas.numbers()
         return np.array(values)
+
+    def names_of_numbers(self) -> tuple[str, ...]:
+        """Declared scalars, "effect.parameter", "gas.name"."""
+        effects = [CATALOGUE[name] for name in (*self._own_effects(), *ALWAYS)]
+        return names_of_numbers(effects, has_gas=self.gas is not None)
 
     def after_effects(self, *names: str) -> list[float]:
         """The numbers of the equations with the changes that its effects make, by their names in `core.equations`."""

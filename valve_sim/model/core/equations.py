@@ -126,6 +126,12 @@ class System:
     is_checked: bool = False
 
 
+def names_of_numbers(effects: Sequence[Effect], *, has_gas: bool) -> tuple[str, ...]:
+    """The numbers that a valve gives, in their order: declared ones, "effect.parameter", those of its gas."""
+    own = [f"{effect.name}.{name}" for effect in effects for name in effect.names]
+    return (*DECLARED, *own, *(f"{PREFIX}{name}" for name in NUMBERS if has_gas))
+
+
 def build(
     effects: Sequence[Effect],
     *,
@@ -192,8 +198,7 @@ def build(
         system.current_left = u * way + (1.0 - way * way)
     system.attraction = attraction(p, x, square)
     system.numbers = numbers
-    system.parameters = (*DECLARED, *(f"{effect.name}.{name}" for effect in effects for name in effect.names))
-    system.parameters += tuple(f"{PREFIX}{name}" for name in NUMBERS if has_gas)
+    system.parameters = names_of_numbers(effects, has_gas=has_gas)
     system.is_checked = any(
         node.op in ("exp", "log", "power", "sin", "cos", "tanh") and _varies_with_motion(node) for node in trace.nodes
     )
