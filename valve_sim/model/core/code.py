@@ -102,8 +102,9 @@ class Code:
         return found
 
     def _matched(self, *values: Value) -> tuple[Value, ...]:
-        if self.width and any(value.type == self.wide for value in values):
-            return tuple(self.repeated(value) for value in values)
+        for value in values:
+            if value.type != values[0].type:
+                return tuple([self.repeated(own) for own in values])
         return values
 
     def _binary(self, op: str, a: Value, b: Value) -> Value:

@@ -141,7 +141,11 @@ QUICKLY, WELL, AS_A_WHOLE = 0, 1, 2
 """How hard code is optimised: see `library`."""
 
 
-def _target_machine(level: int = AS_A_WHOLE) -> Any:
+INLINED: Final = 10
+"""LLVM's cost of a call that is worth its function's body: more of them take longer to compile and run no faster."""
+
+
+def _target_machine(level: int = WELL) -> Any:
     """A description of this processor, and how hard code is optimised for it; each engine takes one of its own."""
     _initialise()
     target = llvm.Target.from_default_triple()
@@ -158,11 +162,14 @@ def _initialise() -> None:
 
 def compiled(text: str, effort: int = AS_A_WHOLE) -> bytes:
     """The object file of a text; `effort` as of `library`."""
-    machine = _target_machine(effort)
+    machine = _target_machine(min(effort, WELL))
     module = llvm.parse_assembly(text)
     module.verify()
     if effort == AS_A_WHOLE:
-        builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=2))
+        options = llvm.create_pipeline_tuning_options(speed_level=1)
+        options.loop_vectorization = options.loop_interleaving = False  # loops are short
+        options.inlining_threshold = INLINED
+        builder = llvm.create_pass_builder(machine, options)
         builder.getModulePassManager().run(module, builder)
     return bytes(machine.emit_object(module))
 
@@ -173,7 +180,7 @@ def library(key: str, text: Callable[[], str], effort: int = AS_A_WHOLE) -> Libr
     Args:
         key: equal for equal texts, given the sources of this package.
         text: makes the text, if it has to be compiled.
-        effort: `AS_A_WHOLE`, by all of LLVM's passes, of code with branches and calls. Straight-line code is simplified
+        effort: `AS_A_WHOLE`, by LLVM's passes, of code with branches and calls. Straight-line code is simplified
             when its graph is made, and they would bring nothing: `WELL` or `QUICKLY`, in a quarter of the time, to code
             that takes up to a third longer and gives the same numbers. Code that is better than asked for will do.
     """
