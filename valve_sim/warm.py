@@ -24,13 +24,13 @@ COMPILING: Final = "compiling the model for this machine, once"
 
 def warm() -> None:
     """Have compiled code at hand: the integrator, and the equations of a valve with each effect alone."""
-    integrator()
+    integrator(False)
     _warm_plans(default_valve(), has_gas=False)
 
 
 def warm_gas() -> None:
     """Have at hand what a valve with gas needs, with each effect alone."""
-    integrator()
+    integrator(True)
     sizes = GasParameters(1e7, 1e-5, 2e-4, 3e-3, 4e-3)
     for demand in (0.0, 1e-4):
         gas = sizes._replace(demand_orifice_diameter=demand)
