@@ -27,7 +27,7 @@ from valve_sim.identification.fit.findings import leaves_more_than_noise
 from valve_sim.identification.fit.intervals import Interval
 from valve_sim.identification.plants.valve import DAMPINGS, dampings_of
 from valve_sim.identification.plants.valve_sensors import response_to
-from valve_sim.identification.reporting.identification import identification_json
+from valve_sim.identification.reporting.identification import identification_document
 from valve_sim.identification.reporting.units import measured
 from valve_sim.model import Phase, Reading, Response, Valve
 from valve_sim.model.errors import ValveError
@@ -279,7 +279,7 @@ def _identified(result: Identification, settings: IdentificationSettings, folder
     file = folder / IDENTIFIED_FILE
     save_valve(file, result.valve, _provenance(settings, summary))
     offset = result.fit.values["clock_offset[0]"]
-    report, handed = identification_json(result), handed_on(result.fit, result.intervals)
+    report, handed = identification_document(result).to_json(), handed_on(result.fit, result.intervals)
     objection = _objection_to(result) or handed.objection
     return Outcome(result.valve, offset, report, file, summary, result.intervals, handed.valve, handed.held, objection)
 
@@ -305,13 +305,13 @@ def _diagnosed(
     from valve_sim.identification.diagnosis.outcome import objection_to, what_is_left
     from valve_sim.identification.diagnosis.run import diagnose
     from valve_sim.identification.fit.budget import Budget
-    from valve_sim.identification.reporting.diagnosis_json import to_json
-    from valve_sim.identification.reporting.recording_profile import write_record_next
-    from valve_sim.identification.reporting.summary import summarise
+    from valve_sim.identification.reporting.claims import summarise
+    from valve_sim.identification.reporting.diagnosis import diagnosis_document
+    from valve_sim.identification.reporting.record_next import write_record_next
 
     result = diagnose([trace], [], declared, progress, Budget.of_seconds(settings.budget))
     file = folder / CORRECTED_FILE
-    summary, report = summarise(result), to_json(result)
+    summary, report = summarise(result), diagnosis_document(result).to_json()
     if result.verdict.is_corrected and (left := what_is_left(result)):
         summary += f" Beside it {left}."
     provenance = _provenance(settings, summary)

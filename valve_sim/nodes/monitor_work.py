@@ -18,13 +18,15 @@ from valve_sim.identification.monitoring.fault_isolation import FaultFinding, is
 from valve_sim.identification.monitoring.findings import Fault, Occasion, StrokeRecord, StrokeState
 from valve_sim.identification.monitoring.scores import Baseline
 from valve_sim.identification.monitoring.stroke_monitor import StrokeMonitor, StrokeReport
-from valve_sim.identification.reporting.monitoring import finding_json, keys_and_values, stroke_json
-from valve_sim.identification.reporting.monitoring_words import (
+from valve_sim.identification.reporting.monitoring import (
     TIMING_UNCERTAIN,
     fault_words,
+    finding_json,
+    keys_and_values,
     remark_words,
     shared_delay_words,
     state_words,
+    stroke_json,
     told_finding,
 )
 from valve_sim.model.errors import ValveError
