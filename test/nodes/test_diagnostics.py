@@ -107,7 +107,14 @@ DAY = 86_400
             "/s is stamped 999 days behind this node's clock, which times commands; of a",
         ),
         ((5 * 3600,), False, "/s is stamped 5.0 h ahead of this node's clock"),
-        ((-0.5, -0.3, -0.9), False, "/s is stamped 0.3 s behind"),
+        ((-0.5, -0.3, -0.55), False, "/s is stamped 0.3 s behind"),
+        (
+            (-0.3, -0.3, -0.9),
+            False,
+            "/s comes 0.3 s to 0.9 s after its stamps, held back by its driver or a busy machin",
+        ),
+        ((-999 * DAY, -999 * DAY - 1), False, "set its clock"),
+        ((-70, -150), False, "set its clock"),
         ((999 * DAY,), True, "all must be stamped by /clock, or use_sim_time be false"),
         ((-0.5, -0.01, -0.9), False, ""),
         ((), False, ""),
@@ -125,6 +132,27 @@ def test_samples_whose_stamps_are_of_another_clock_are_a_warning_with_its_mend(
     status = InputCount().status(1.0, 0, "a command", 0, words)
     assert (status.level, status.message) == (Level.WARN, words or "waiting for a command")
     assert check.look(is_simulated=is_simulated) == "", "since the last look none came"
+
+
+@pytest.mark.parametrize(
+    ("waits", "says"),
+    [
+        ((1.4, 1.3, 1.2), "/s comes 1.2 s to 1.4 s after its stamps"),
+        ((1.4, 1.399), "/s is stamped 1.4 s behind"),
+        ((3.0, 3.2), "/s is stamped 3.0 s behind"),
+        ((-1.4, -1.3, -1.2), "/s is stamped 1.2 s ahead"),
+    ],
+)
+def test_what_comes_late_though_clocks_have_agreed_has_waited_and_a_clock_that_was_set_is_told_still(
+    waits: tuple[float, ...], says: str
+) -> None:
+    check, now = StampCheck(), 1_800_000_000 * NANOSECONDS
+    for late in (0.002, 0.3):
+        check.note("/s", now - round(late * NANOSECONDS), now)
+    assert not check.look(is_simulated=False)
+    for late in waits:
+        check.note("/s", now - round(late * NANOSECONDS), now)
+    assert says in check.look(is_simulated=False)
 
 
 def commanded(**state: Any) -> Status:

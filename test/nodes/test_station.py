@@ -12,6 +12,7 @@ import yaml
 from valve_sim.files.parameter_files import load_valve
 from valve_sim.files.parameter_sections import read_sections
 from valve_sim.model import ParameterError
+from valve_sim.nodes.settings import MonitorNodeSettings
 from valve_sim.nodes.starting import read_files
 from valve_sim.station.tables import ArchiveSettings, OpcUaSettings, PlcSettings
 
@@ -91,10 +92,30 @@ def test_lists_reach_a_node_as_launch_ros_writes_them(plan: LaunchPlan, tmp_path
     assert OpcUaSettings.read(section.values, {}).valves == tuple(f"{tank}/valve" for tank in TANKS)
 
 
-def test_a_parameter_file_that_is_not_there_ends_the_valve_that_should_have_it(plan: LaunchPlan) -> None:
-    (valve,) = read_launch_file(LAUNCH_FILE.with_name("valve.launch.py")).started()
+def test_a_monitor_alone_has_what_its_file_says_unless_an_argument_says_otherwise(tmp_path: Path) -> None:
+    alone, file = read_launch_file(LAUNCH_FILE.with_name("monitor.launch.py")), tmp_path / "a.yaml"
+    file.write_text("/**: {ros__parameters: {valve: {stroke: 1.2e-3}}}\n/monitor: {ros__parameters: {noise_um: 2.0}}\n")
+    (plain,) = alone.started(params_file=str(file))
+    assert (plain.full_name, plain.executable) == ("/monitor", "monitor_node")
+    assert plain.given == {"use_sim_time": False}, "or the file's settings would not count"
+    assert [section.node for _, section in read_files(["", *plain.command_line({})])] == ["/**", "/monitor"]
+    values = {"valve_node": "/plc/coil", "measured": "coil", "noise_um": "1", "state": "/var/lib/a.json"}
+    (other,) = alone.started(namespace="north/a", use_sim_time="True", **values)
+    settings = MonitorNodeSettings.of(MonitorNodeSettings.values(without_time(other.given), {}))
+    assert (other.full_name, other.given["use_sim_time"]) == ("/north/a/monitor", True)
+    assert (settings.valve_node, settings.measured, settings.noise_um, settings.state) == (
+        "/plc/coil", "coil", 1.0, "/var/lib/a.json",
+    )  # fmt: skip
+
+
+def test_a_parameter_file_that_is_not_there_ends_the_node_that_should_have_it(plan: LaunchPlan) -> None:
     values = {"namespace": "", "use_sim_time": "false", "params_file": "nowhere.yaml"}
-    for words in (valve.command_line(values), plan.started(config="nowhere")[0].command_line({})):
+    valve, monitor = (
+        read_launch_file(LAUNCH_FILE.with_name(f"{name}.launch.py")).started(**values)[0]
+        for name in ("valve", "monitor")
+    )
+    lines = [node.command_line(values) for node in (valve, monitor, plan.started(config="nowhere")[0])]
+    for words in lines:
         with pytest.raises(ParameterError, match=r"nowhere.*\.yaml: cannot be read"):
             read_files(words)
 

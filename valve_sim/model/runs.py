@@ -31,7 +31,7 @@ class Directions:
     """How the input of a run changes with k parameters: its derivatives by them.
 
     Attributes:
-        numbers: (k, m) of the valve's numbers, in the order of `Valve.names_of_numbers`.
+        numbers: (k, m) of the valve's numbers, in the order of `Valve.names`.
         command_times: (k, c) of the commands' times. command_volts: (k, c) of their voltages.
         sample_times: (k,) of all sample times: −1 for a clock whose samples are stamped late.
     """
@@ -48,7 +48,7 @@ class Directions:
         Raises:
             ParameterError: the valve has no such parameter.
         """
-        known = valve.names_of_numbers()
+        known = valve.names
         numbers = np.zeros((len(names), len(known)))
         for row, name in enumerate(names):
             if name not in known:
@@ -56,6 +56,15 @@ class Directions:
             numbers[row, known.index(name)] = 1.0
         nothing = np.zeros((len(names), len(drive.times)))
         return cls(numbers, nothing, nothing, np.zeros(len(names)))
+
+    @classmethod
+    def none(cls, commands: int) -> Directions:
+        """No direction: a run by the code that carries derivatives, where that is compiled anyway.
+
+        Args:
+            commands: of the run, how many.
+        """
+        return cls(np.empty((0, 0)), np.empty((0, commands)), np.empty((0, commands)), np.empty(0))
 
     def among(self, commands: Array) -> Directions:
         """These directions for a drive whose commands are mixed with changes of pressure, on the clock of the samples.
@@ -121,9 +130,9 @@ class Run:
         self._count, self._tiles = count, list[_Tile]()
         for first in range(0, max(count, 1), _MOST):
             part = slice(first, min(first + _MOST, count))
-            width = width_of(part.stop - part.start)
+            width = 0 if directions is None else _MOST
             tangents = np.zeros((layout.SIZE, width))
-            if directions is not None:
+            if count and directions is not None:
                 used = part.stop - part.start
                 tangents[layout.NUMBERS : layout.NUMBERS + len(own), :used] = directions.numbers[part].T
                 tangents[layout.LATE, :used] = directions.sample_times[part]
@@ -229,11 +238,6 @@ def _both(currents: Array, pressures: Array) -> tuple[Array, Any, Any]:
         return np.ascontiguousarray(pressures), none, whole
     both = np.union1d(currents, pressures)
     return both, np.searchsorted(both, currents), np.searchsorted(both, pressures)
-
-
-def width_of(count: int) -> int:
-    """Number of directions of the kernels that serve a number of requested directions."""
-    return next(width for width in WIDTHS if width >= count)
 
 
 def run_sloped(

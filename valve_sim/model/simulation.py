@@ -151,7 +151,7 @@ def run_numbers(
 
     Args:
         valve: whose effects all have.
-        numbers: (k, m) the numbers of each in the order of `Valve.names_of_numbers`.
+        numbers: (k, m) the numbers of each in the order of `Valve.names`.
         drive: the commanded voltage.
         sample_times: (n,) s, ascending.
         tolerance: relative error of one step.

@@ -42,6 +42,11 @@ def _neutral(effect: Effect) -> dict[str, float]:
     return effect.neutral_values()
 
 
+@functools.lru_cache(maxsize=512)
+def _names_of(effects: tuple[Effect, ...], has_gas: bool) -> tuple[str, ...]:
+    return names_of_numbers(effects, has_gas=has_gas)
+
+
 @dataclass(frozen=True)
 class Valve:
     """A valve to simulate: the declared parameters, and the effects that are on.
@@ -89,19 +94,26 @@ class Valve:
 
     def plan(self, width: int = 0, runs: int = 1) -> Plan:
         """Its equations with these effects, compiled, with so many directions of derivatives, for some runs."""
-        effects = tuple([CATALOGUE[name] for name in (*self._own_effects(), *ALWAYS)])
         gas = self.gas
         return plan_of(
-            effects, self._shapes(), width, freewheels=self.parameters.release_voltage > 0.0, has_gas=gas is not None,
-            has_demand=gas is not None and gas.demand_orifice_diameter > 0.0, runs=runs,
+            self._all_effects(), self._shapes(), width, freewheels=self.parameters.release_voltage > 0.0,
+            has_gas=gas is not None, has_demand=gas is not None and gas.demand_orifice_diameter > 0.0, runs=runs,
         )  # fmt: skip
 
     def _own_effects(self) -> list[str]:
         """The effects for which equations are compiled."""
         return [name for name in self.effects if name not in ALWAYS]
 
+    def _all_effects(self) -> tuple[Effect, ...]:
+        return tuple([CATALOGUE[name] for name in (*self._own_effects(), *ALWAYS)])
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of `numbers`, "coulomb_friction.force" of an effect's."""
+        return _names_of(self._all_effects(), self.gas is not None)
+
     def numbers(self) -> Array:
-        """The numbers of this valve in the order of `names_of_numbers`; those that are not given are neutral."""
+        """(m,) what its equations take, in the order of `names`; what is not given is neutral."""
         before, polynomial, after = (
             self.parameters[:_POLYNOMIAL], self.parameters[_POLYNOMIAL], self.parameters[_POLYNOMIAL + 1 :],
         )  # fmt: skip
@@ -112,11 +124,6 @@ class Valve:
         if self.gas is not None:
             values += self.gas.numbers()
         return np.array(values)
-
-    def names_of_numbers(self) -> tuple[str, ...]:
-        """Declared scalars, "effect.parameter", "gas.name"."""
-        effects = [CATALOGUE[name] for name in (*self._own_effects(), *ALWAYS)]
-        return names_of_numbers(effects, has_gas=self.gas is not None)
 
     def after_effects(self, *names: str) -> list[float]:
         """The numbers of the equations with the changes that its effects make, by their names in `core.equations`."""
@@ -143,8 +150,7 @@ class Valve:
 
     def why_no_flux(self) -> str:
         """Why its current does not follow from its flux, for a message; empty where it does or no flux is modelled."""
-        effects = [CATALOGUE[name] for name in (*self._own_effects(), *ALWAYS)]
-        return why_no_flux(effects, self._shapes(), self.numbers().tolist())
+        return why_no_flux(self._all_effects(), self._shapes(), self.numbers().tolist())
 
     def to_mapping(self) -> dict[str, dict[str, Any]]:
         """The plain mapping that `from_mapping` takes back."""

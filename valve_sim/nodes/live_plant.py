@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Final
@@ -15,8 +14,8 @@ from valve_sim.model.core.own.simulation import Machine
 from valve_sim.model.core.own.units import Unit, dimension_words, parse_unit, same
 from valve_sim.model.machine_stepper import Channels, MachineReading, MachineStepper
 from valve_sim.nodes.live_machine import LiveMachine
-from valve_sim.nodes.parameters import NodeParameter, Value, check_given
-from valve_sim.nodes.valve_parameters import VALVE_KEYS, ValveSettings
+from valve_sim.nodes.parameters import OF_ANY_NODE, PLANT_KEY, VALVE_KEYS, NodeParameter, Value, check_given
+from valve_sim.nodes.valve_parameters import ValveSettings
 
 INPUT: Final = "voltage"
 """The input that ~/coil_voltage commands."""
@@ -24,8 +23,6 @@ SHOWN: Final = {"position": "m", "main_position": "m", "current": "A"}
 """Outputs that topics show, and their units."""
 PHASE: Final = "phase"
 """The output that says which region's modes are on ~/phase."""
-PREFIX: Final = "parameters."
-"""What the names of a machine's parameters begin with, as in its file."""
 
 
 class NodePlant:
@@ -111,17 +108,23 @@ class PlantParameters:
         """Every parameter, by name."""
         found = ValveSettings.rows()
         for name, own in self._plant.file.parameters.items():
-            key, meaning = f"{PREFIX}{name}", own.title or "as the plant's file declares it"
+            key, meaning = f"{PLANT_KEY}{name}", own.title or "as the plant's file declares it"
             rule = Parameter(name, own.unit.si, meaning, own.lower, own.upper, prior_scale=own.value)
             found[key] = NodeParameter(key, own.value, meaning, own.unit.si, rule, read_only=False)
         return found
+
+    def passes_over(self, name: str, given: Mapping[str, object]) -> bool:
+        """As of `NodeSettings`."""
+        return name in OF_ANY_NODE or name.startswith(VALVE_KEYS)
 
     def values(self, given: Mapping[str, object], sources: Mapping[str, str]) -> dict[str, Value]:
         """The values at the start; arguments and errors as of `check_given`."""
         for name in given:
             if name.startswith(VALVE_KEYS):
                 where, path = f"{sources.get(name, 'command line')}: {name}", self._plant.file.path
-                raise ParameterError(f"{where}: is of the valve, which plant:={path} replaces; its own: {PREFIX}<name>")
+                raise ParameterError(
+                    f"{where}: is of the valve, which plant:={path} replaces; its own: {PLANT_KEY}<name>"
+                )
         values = check_given(given, self.table(), sources, ValveSettings.program)
         self.numbers(values)
         return values
@@ -136,7 +139,7 @@ class PlantParameters:
         Raises:
             ParameterError: it cannot start with these.
         """
-        numbers = {name: float(values[f"{PREFIX}{name}"]) for name in self._plant.file.parameters}
+        numbers = {name: float(values[f"{PLANT_KEY}{name}"]) for name in self._plant.file.parameters}
         try:
             self._plant.stepper(numbers)
         except SimulationError as error:
@@ -145,21 +148,25 @@ class PlantParameters:
 
 
 class LivePlant(LiveMachine[MachineStepper, MachineReading]):
-    """A live machine that is of a plant file. `set_numbers` may be called in any thread, too."""
+    """A live machine that is of a plant file."""
 
-    def __init__(
-        self, plant: NodePlant, numbers: Mapping[str, float], *, scale: float = 1.0, command_timeout: float = 0.0,
-        max_voltage: float = math.inf,
-    ) -> None:  # fmt: skip
-        super().__init__(scale=scale, command_timeout=command_timeout, max_voltage=max_voltage)
+    rests = "the machine begins anew, at 0 V"
+
+    def __init__(self, plant: NodePlant, numbers: Mapping[str, float], **options: float) -> None:
+        super().__init__(**options)
         self._plant, self._numbers = plant, numbers
+        self.shows = {*plant.channels.delays, *(("phase",) if plant.modes else ())}
         self._modes: Mapping[str, str] = {}
         self._events, self._last_event = 0, ""
 
-    def set_numbers(self, clock: int, numbers: Mapping[str, float]) -> None:
-        """Continue with other parameters, SI, from clock time `clock` on, ns; states go on."""
-        self._numbers = numbers
-        self._requests.post(clock, "numbers", partial(self._continue_with, numbers))
+    def go_on_as(self, clock: int, machine: Mapping[str, float]) -> None:
+        """Continue with other parameters, SI; states go on."""
+        self._numbers = machine
+        self._requests.post(clock, "numbers", partial(self._continue_with, machine))
+
+    def self_test(self) -> tuple[bool, str]:
+        """It has none."""
+        return False, f"a self-test is of the valve; the machine of {self._plant.file.path} has none"
 
     def facts(self) -> Mapping[str, str]:
         """The mode that is the phase, those of other regions, and events."""

@@ -20,6 +20,19 @@ from valve_sim.model.parameters import closest
 Value = Any
 """Of a parameter: bool, int, float, str, or a list of floats or texts."""
 
+VALVE_KEYS: Final = ("valve.", "effects.", "gas.", "tolerances.")
+"""What the names of parameters that describe a valve, not a node, begin with."""
+PLANT_KEY: Final = "parameters."
+"""What the names of the parameters of a machine of a plant file begin with."""
+OF_ANY_NODE: Final = frozenset((
+    "publish_rate", "time_scale", "command_timeout", "max_voltage", "frame_id", "plant", "bag", "map", "valve_name",
+    "params", "free", "rate", "loop", "apply_to", "apply_always", "output", "linger", "mode", "budget", "valve_node",
+    "measured", "state", "commissioning_strokes", "diagnosis_strokes", "strokes_between_false_alarms",
+    "stroke_timeout", "settle", "patience", "noise_um", "max_rate", "profile", "valve", "listener", "valves",
+    "monitors", "alarms", "folder", "years", "megabytes", "serial_numbers", "address", "port", "anonymous_read",
+    "history_days", "voltage", "watchdog", "plc_host", "first_register", "unit", "low_word_first", "map_file",
+))  # fmt: skip
+"""The settings of all nodes of this package; a node that looked into the tables of the others would load their work."""
 ROS_OWN: Final = ("use_sim_time", "start_type_description_service")
 ROS_OWN_PREFIX: Final = "qos_overrides."
 LONGEST_TEXT: Final = 4096
@@ -146,7 +159,11 @@ def option(
         meaning: in words. unit, lower, upper: of a number, or of each in a list.
         choices: all that a text may be; empty for any. read_only: whether it is read once, at the start.
     """
-    return field(default=default, metadata={"row": (meaning, unit, lower, upper, choices, read_only)})
+    value = list(default) if isinstance(default, tuple) else default
+    one = value[0] if isinstance(value, list) else value
+    is_number = isinstance(one, int | float) and not isinstance(one, bool)
+    rule = Parameter("", unit, meaning, lower, upper) if is_number else None
+    return field(default=default, metadata={"row": NodeParameter("", value, meaning, unit, rule, choices, read_only)})
 
 
 @dataclass(frozen=True)
@@ -154,20 +171,26 @@ class NodeSettings:
     """What the settings of all nodes have in common. Lists are tuples here.
 
     Attributes:
-        program: the node's, for messages.
+        program: the node's, for messages. has_valve: whether it declares a valve.
     """
 
     program: ClassVar[str]
+    has_valve: ClassVar[bool] = False
 
     @classmethod
     def rows(cls) -> dict[str, NodeParameter]:
         """A table of the settings alone."""
-        return {entry.name: _row_of(entry.name, entry.default, *entry.metadata["row"]) for entry in fields(cls)}
+        return {entry.name: entry.metadata["row"]._replace(name=entry.name) for entry in fields(cls)}
 
     @classmethod
     def table(cls) -> dict[str, NodeParameter]:
         """Every parameter of the node, by name."""
         return cls.rows()
+
+    @classmethod
+    def passes_over(cls, name: str, given: Mapping[str, object]) -> bool:
+        """Whether a name that a section of many nodes gives is of another node, and not misspelt; `given`: all."""
+        return name in OF_ANY_NODE or name.startswith(PLANT_KEY if cls.has_valve else (*VALVE_KEYS, PLANT_KEY))
 
     @classmethod
     def values(cls, given: Mapping[str, object], sources: Mapping[str, str]) -> dict[str, Value]:
@@ -203,22 +226,14 @@ class Declares(Protocol[S_co]):
     def table(self) -> dict[str, NodeParameter]:
         """Every parameter, by name."""
 
+    def passes_over(self, name: str, given: Mapping[str, object]) -> bool:
+        """As of `NodeSettings`."""
+
     def values(self, given: Mapping[str, object], sources: Mapping[str, str]) -> dict[str, Value]:
         """The values at the start; arguments and errors as of `check_given`."""
 
     def of(self, values: Mapping[str, Value]) -> S_co:
         """The node's settings among them."""
-
-
-def _row_of(
-    name: str, default: Value, meaning: str, unit: str, lower: float, upper: float, choices: tuple[str, ...],
-    read_only: bool,
-) -> NodeParameter:  # fmt: skip
-    value = list(default) if isinstance(default, tuple) else default
-    one = value[0] if isinstance(value, list) else value
-    is_number = isinstance(one, int | float) and not isinstance(one, bool)
-    rule = Parameter(name, unit, meaning, lower, upper) if is_number else None
-    return NodeParameter(name, value, meaning, unit, rule, choices, read_only)
 
 
 def check_given(
@@ -261,6 +276,16 @@ def is_of_ros(name: str) -> bool:
 def sources_of(sections: Sequence[tuple[str, Section]], node: str) -> dict[str, str]:
     """Flat name to the file that gave it to this node, by its full name; a later file wins, as in ROS."""
     return {name: path for path, section in sections if section.applies_to(node) for name in section.values}
+
+
+def of_others(
+    given: Mapping[str, object], sections: Sequence[tuple[str, Section]], node: str, settings: Declares[object]
+) -> list[str]:
+    """What a section of many nodes, such as `/**`, gives to this one, and is of another node of this package."""
+    applying = [section for _, section in sections if section.applies_to(node)]
+    own = {name for section in applying if "*" not in section.node for name in section.values}
+    common = {name for section in applying for name in section.values} - own - settings.table().keys()
+    return [name for name in given if name in common and settings.passes_over(name, given)]
 
 
 def files_for_others(sections: Sequence[tuple[str, Section]], node: str) -> dict[str, list[str]]:

@@ -15,8 +15,8 @@ from valve_sim.identification.diagnosis.identify import check_free
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.plants.valve import DAMPINGS
 from valve_sim.model import ParameterError
-from valve_sim.nodes.parameters import NodeParameter, NodeSettings, Value, option
-from valve_sim.nodes.valve_parameters import VALVE_KEYS, ValveSettings, check_with_valve, valve_table
+from valve_sim.nodes.parameters import VALVE_KEYS, NodeParameter, NodeSettings, Value, option
+from valve_sim.nodes.valve_parameters import check_with_valve, valve_table
 
 MODES: Final = ("identify", "diagnose")
 _MICRO: Final = 1e-6
@@ -48,13 +48,18 @@ class IdentificationSettings(NodeSettings):
         ".",
         "folder of identified.yaml (diagnose: corrected.yaml, record_next.yaml) and before.yaml, as apply_to was",
     )
-    linger: bool = option(False, "whether the node stays when all is done, for ~/undo and late subscribers")
+    linger: bool = option(False, "whether the node stays when all is done, for late subscribers")
     mode: str = option(
         MODES[0], "identify: refit `free`; diagnose: find the effect that the declared valve lacks", choices=MODES
     )
     budget: float = option(
         120.0, "work that a diagnosis may do, 4000 simulated strokes a second; it says what was left untried", "s", 1.0
     )
+
+    @classmethod
+    def passes_over(cls, name: str, given: Mapping[str, object]) -> bool:
+        """As of `NodeSettings`; a valve beside it is refused, unless it is declared by `params`."""
+        return super().passes_over(name, given) and ("params" in given or not name.startswith(VALVE_KEYS))
 
     @classmethod
     def read(cls, given: Mapping[str, object], sources: Mapping[str, str]) -> IdentificationSettings:
@@ -82,6 +87,7 @@ class MonitorNodeSettings(NodeSettings):
     """Of monitor_node, beside the valve that it declares."""
 
     program = "monitor_node"
+    has_valve = True
 
     valve_node: str = option("valve", "node whose topics are heard, relative to this node's namespace")
     measured: str = option(
@@ -116,16 +122,18 @@ class MonitorNodeSettings(NodeSettings):
         return {**cls.rows(), **valve_table(default_valve(), read_only=True)}
 
     @classmethod
-    def values(cls, given: Mapping[str, object], sources: Mapping[str, str]) -> dict[str, Value]:
-        """The values at the start; arguments and errors as of `check_with_valve`.
+    def passes_over(cls, name: str, given: Mapping[str, object]) -> bool:
+        """As of `NodeSettings`; a machine in place of the valve cannot be watched, and is refused."""
+        return name != "plant" and super().passes_over(name, given)
 
-        One parameter file may serve valve_node and its monitor: the settings of the former are passed over.
-        """
+    @classmethod
+    def values(cls, given: Mapping[str, object], sources: Mapping[str, str]) -> dict[str, Value]:
+        """The values at the start; arguments and errors as of `check_with_valve`."""
         if given.get("plant"):
             where = f"{sources.get('plant', 'command line')}: plant"
             raise ParameterError(f"{where}: found {short(given['plant'])}; a monitor watches valves, take it out")
-        own = {name: value for name, value in given.items() if name in cls.rows() or name not in ValveSettings.rows()}
-        return check_with_valve(own, cls.table(), sources, cls.program)
+        given = {name: value for name, value in given.items() if name != "plant"}
+        return check_with_valve(given, cls.table(), sources, cls.program)
 
     @property
     def monitor(self) -> MonitorSettings:

@@ -8,16 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 from valve_sim.files.parameter_files import complete_effect, default_valve, off_value, valve_from_flat
 from valve_sim.model import CATALOGUE, DECLARED, Effect, Parameter, Valve, ValveParameters
 from valve_sim.model.gas import FLUIDS, GAS, GasParameters
 from valve_sim.model.tolerances import COVARIANCE_FORM, COVARIANCE_NAME, SENSOR, TOLERATED, Tolerances, tolerance_rule
-from valve_sim.nodes.parameters import NodeParameter, NodeSettings, Table, Value, check_given, option
-
-VALVE_KEYS: Final = ("valve.", "effects.", "gas.", "tolerances.")
-"""What the names of parameters that describe a valve, not a node, begin with."""
+from valve_sim.nodes.parameters import VALVE_KEYS, NodeParameter, NodeSettings, Table, Value, check_given, option
 
 
 @dataclass(frozen=True)
@@ -25,6 +22,7 @@ class ValveSettings(NodeSettings):
     """The node's own parameters, beside its valve."""
 
     program = "valve_node"
+    has_valve = True
 
     publish_rate: float = option(
         1000.0,

@@ -144,8 +144,7 @@ class Model:
         """
         if self.problem.is_long and (sums := self._in_pieces(z)) is not None:
             return sums
-        left, jacobian = self._derivatives(z)
-        return self._summed(np.column_stack([jacobian, left]))
+        return self._summed(self._derivatives(z))
 
     def tangent(self, z: Array, place: int) -> Array | None:
         """(r,) derivative of the residuals by one coordinate; None where the plant does not know it."""
@@ -189,41 +188,40 @@ class Model:
             slopes |= moves
         return Direction(slopes, FINE * min(self.moving[place].step for place in places))
 
-    def _derivatives(self, z: Array) -> tuple[Array, Array]:
-        """(r,) residuals and (r, k) their derivatives, by the plant where it knows them, else by difference quotients.
+    def _derivatives(self, z: Array) -> Array:
+        """(r, k + 1) derivatives of the residuals, by the plant where it knows them, else by quotients; residuals.
 
         Unknowns that act on different samples share a direction, whose derivative is parted.
         """
-        groups = [[place] for place in range(len(self.moving)) if place not in set(self._local)]
+        local = set(self._local)
+        groups = [[place] for place in range(len(self.moving)) if place not in local]
         count = len(groups)
         groups += self._groups
         left, shared, is_known = self._along(z, groups)
-        jacobian = np.zeros((len(left), len(self.moving)))
-        apart: list[int] = []
-        for place, members in enumerate(groups):
-            if not is_known[place]:
-                apart += members
-            elif len(members) == 1:
-                jacobian[:, members[0]] = shared[:, place]
-            else:
-                parted = np.zeros((len(left), len(self._local)))
-                if self._column_groups[place - count].part(shared[:, place], parted):
-                    jacobian[:, members] = parted[:, self._column_groups[place - count].members]
-                else:
-                    apart += members
+        moved, parted = np.zeros((len(left), len(self.moving) + 1)), np.zeros((len(left), len(self._local)))
+        moved[:, -1] = left
+        alone = [place for place, members in enumerate(groups) if is_known[place] and len(members) == 1]
+        apart = [member for place, members in enumerate(groups) if not is_known[place] for member in members]
+        for place in range(count, len(groups)):
+            is_shared = is_known[place] and len(groups[place]) > 1
+            if is_shared and not self._column_groups[place - count].part(shared[:, place], parted):
+                apart += groups[place]
+        moved[:, self._local] = parted
+        if alone:
+            moved[:, [groups[place][0] for place in alone]] = shared[:, alone]
         rest = [place for place in apart if len(self.moving[place].moves(float(z[place]))) > 0]
         for_plant = [place for place in rest if any(len(own) > 1 and place in own for own in groups)]
         if for_plant:
             _, shared, is_known = self._along(z, [[place] for place in for_plant])
             for column, place in enumerate(for_plant):
                 if is_known[column]:
-                    jacobian[:, place] = shared[:, column]
+                    moved[:, place] = shared[:, column]
                     rest.remove(place)
         for place in rest:
-            jacobian[:, place] = self._quotient(z, place, left)
-        if not np.isfinite(jacobian).all():
+            moved[:, place] = self._quotient(z, place, left)
+        if not np.isfinite(moved).all():
             raise SimulationError("the derivatives are not finite")
-        return left, jacobian
+        return moved
 
     def _along(self, z: Array, groups: Sequence[Sequence[int]]) -> tuple[Array, Array, NDArray[np.bool_]]:
         """(r,) residuals, (r, g) derivatives along the sum of each group, and (g,) where the plant knows them."""

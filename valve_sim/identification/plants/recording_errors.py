@@ -256,7 +256,7 @@ class IntervalFactors:
 
 def places_of_fields(valve: Valve) -> list[list[int]]:
     """Of each of `FIELDS` where it is among the numbers of a valve: the declared one, and what effects add to it."""
-    names = valve.names_of_numbers()
+    names = valve.names
     added = [
         (f"{effect}.{parameter}", number)
         for effect in dict.fromkeys((*valve.effects, *ALWAYS))

@@ -134,7 +134,7 @@ def _slopes_of(
     numbers, switches, rated = valve.numbers(), _switches_of(valve), rated_current_of(valve)
     slopes, of_rated = np.zeros((len(directions), len(numbers))), np.zeros(len(directions))
     known = np.ones(len(directions), dtype=bool)
-    places = {name: place for place, name in enumerate(valve.names_of_numbers())}
+    places = {name: place for place, name in enumerate(valve.names)}
     for row, (there, direction) in enumerate(zip(moved, directions, strict=True)):
         if all(map(is_of_recording, direction.slopes)):
             continue
@@ -164,7 +164,7 @@ def _without_measured(valve: Valve, slopes: Array, trace: Trace) -> Array:
     own = [PREFIX + name for name, found in measured.items() if found is not None]
     if valve.gas is None or not own:
         return slopes
-    parameters, kept = valve.names_of_numbers(), slopes.copy()
+    parameters, kept = valve.names, slopes.copy()
     kept[:, [parameters.index(name) for name in own]] = 0.0
     return kept
 

@@ -236,6 +236,8 @@ def run_from_rest(of: Recorded, directions: Directions | None = None, numbers: A
     tolerance = FIT_TOLERANCE if of.valve.gas is None else GAS_TOLERANCE
     if directions is not None:
         directions = directions.among(of.commands)
+    elif of.valve.gas is None:
+        directions = Directions.none(len(of.commands))
     return Run(of.valve, of.start, tolerance=tolerance, directions=directions, numbers=numbers)
 
 

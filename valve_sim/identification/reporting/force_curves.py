@@ -17,11 +17,13 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.identification.diagnosis.run import Diagnosis
+from valve_sim.identification.diagnosis.outcome import Diagnosis
 from valve_sim.identification.fit.curves import Unexplained
 from valve_sim.identification.fit.gram import root_mean_square
 from valve_sim.identification.plants.protocol import Array, Plant
 from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.identification.reporting.document import Curve, Panel, Plot
+from valve_sim.identification.reporting.units import gain_words, quantity
 from valve_sim.model import simulate
 from valve_sim.model.effects import is_damping
 
@@ -31,6 +33,7 @@ PULLS: Final = 0.1
 """Share of the rated current below which a force proportional to its square is not visible."""
 STRONG: Final = 0.5
 """Share of the largest force above which the force counts as acting at a place."""
+_FACTOR_WORDS: Final = {"·v": ", times velocity", "·u²": ", with the current squared"}
 _AXES: Final = {"x": ("position", 1e3, "mm"), "v": ("velocity", 1.0, "m/s"), "t": ("time", 1e3, "ms")}
 
 
@@ -71,6 +74,29 @@ class ForceCurve:
     rms: float
     where: str
     is_partial: bool
+
+    def plot(self) -> Plot:
+        """The curve with its band."""
+        low, high = self.force - self.band, self.force + self.band
+        panel = Panel(self.force_label, [Curve("after", self.force)], low, high, has_zero=True)
+        axis = self.label.partition(",")[0] + _FACTOR_WORDS.get(self.variable[1:], "")
+        gain, rms = gain_words(0.5 * self.gain), quantity(self.rms, "N")
+        caption = f"ln evidence {gain} · rms {rms} · strongest at {self.where}"
+        return Plot(f"over {axis}", caption, self.at, self.label, [panel])
+
+
+def unexplained_json(entry: Unexplained, motion: Motion) -> dict[str, Any]:
+    """Size and place over the range that the data visited: beyond, only smoothness determines the curve."""
+    curve = force_curve(entry, motion)
+    return {
+        "force_rms_n": curve.rms,
+        "where": curve.where,
+        "variable": entry.variable,
+        "at": list(entry.at),
+        "force": list(entry.force),
+        "force_stderr": list(entry.stderr),
+        "delta_bic": -entry.gain,
+    }
 
 
 def motion_of(diagnosis: Diagnosis) -> Motion:
@@ -143,11 +169,11 @@ def _without_damping(variable: str, motion: Motion, acting: Array, drawn: Array,
     acting, shown = acting.copy(), shown.copy()
     number = motion.damping if variable == "x·v" else np.zeros(len(acting), np.int64)
     for one in np.unique(number):
-        own = number == one
-        velocity = motion.velocity[own]
-        damping = -float(acting[own] @ velocity / (velocity @ velocity))
-        acting[own] += damping * velocity
-        place = motion.position[own]
+        chosen = number == one
+        velocity = motion.velocity[chosen]
+        damping = -float(acting[chosen] @ velocity / (velocity @ velocity))
+        acting[chosen] += damping * velocity
+        place = motion.position[chosen]
         reached = (drawn >= place.min()) & (drawn <= place.max()) if variable == "x·v" else slice(None)
         shown[reached] -= damping
     return acting, shown

@@ -127,9 +127,9 @@ class System:
 
 
 def names_of_numbers(effects: Sequence[Effect], *, has_gas: bool) -> tuple[str, ...]:
-    """The numbers that a valve gives, in their order: declared ones, "effect.parameter", those of its gas."""
-    own = [f"{effect.name}.{name}" for effect in effects for name in effect.names]
-    return (*DECLARED, *own, *(f"{PREFIX}{name}" for name in NUMBERS if has_gas))
+    """The names of the numbers that a valve gives: declared ones, "effect.parameter", and those of its gas."""
+    of_effects = (f"{effect.name}.{name}" for effect in effects for name in effect.names)
+    return (*DECLARED, *of_effects, *(f"{PREFIX}{name}" for name in NUMBERS if has_gas))
 
 
 def build(
