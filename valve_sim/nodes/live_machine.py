@@ -6,36 +6,18 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, TypeVar
 
 from valve_sim.model import CoilReading, SimulationError
 from valve_sim.nodes.realtime import NANOSECONDS, TimedQueue
 
 if TYPE_CHECKING:
-    from valve_sim.model import Reading
-    from valve_sim.model.machine_stepper import MachineReading
+    from valve_sim.model import Reading, Stepper
+    from valve_sim.model.machine_stepper import MachineReading, MachineStepper
 
 
-S = TypeVar("S", bound="Steps[Any]")
-R = TypeVar("R", bound="Reading | MachineReading")
-R_co = TypeVar("R_co", bound="Reading | MachineReading", covariant=True)
-
-
-class Steps(Protocol[R_co]):
-    """What steps a machine: the valve's `Stepper`, or a `MachineStepper`."""
-
-    @property
-    def volts(self) -> float:
-        """The voltage in force, V."""
-
-    def reset(self, time: float) -> None:
-        """Start anew at a time, s, without voltage."""
-
-    def command(self, time: float, volts: float) -> tuple[CoilReading, CoilReading]:
-        """A voltage in force from a time on, s; the coil just before and just after."""
-
-    def advance(self, time: float) -> R_co:
-        """Step to a time, s, and read the machine there. Raises SimulationError."""
+S = TypeVar("S", "Stepper", "MachineStepper")
+"""What steps a machine."""
 
 
 class Timeline:
@@ -93,7 +75,7 @@ class Step(NamedTuple):
     switched_off: str = ""
 
 
-class LiveMachine(ABC, Generic[S, R]):
+class LiveMachine(ABC, Generic[S]):
     """A stepper with its clock, its command and its watchdog; which command holds: docs/reference/command_safety.md.
 
     `command`, `limit`, `set_scale`, `reset`, `go_on_as` may be called in any thread: they store, the next `step`
@@ -133,7 +115,7 @@ class LiveMachine(ABC, Generic[S, R]):
         """The machine at rest at model time 0, without voltage."""
 
     @abstractmethod
-    def _entered(self, reading: R) -> Sequence[int]:
+    def _entered(self, reading: Any) -> Sequence[int]:
         """The phases that began since the reading before; what else happened is noted."""
 
     @abstractmethod
@@ -225,7 +207,7 @@ class LiveMachine(ABC, Generic[S, R]):
             self._requests.deliver(self._reached, clock)
             self._watch_command(clock)
             time, stamp = self._timeline.at(clock)
-            reading: R = stepper.advance(time)
+            reading: Reading | MachineReading = stepper.advance(time)
         except SimulationError as error:
             failure = str(error)
             self.failures += 1

@@ -147,7 +147,7 @@ class PlantParameters:
         return numbers
 
 
-class LivePlant(LiveMachine[MachineStepper, MachineReading]):
+class LivePlant(LiveMachine[MachineStepper]):
     """A live machine that is of a plant file."""
 
     rests = "the machine begins anew, at 0 V"

@@ -32,7 +32,7 @@ _STILL_RISING: Final = 1e-6
 """Share of the tank's pressure; an outlet that changes by less within SELF_TEST_SECONDS has come to rest."""
 
 
-class LiveValve(LiveMachine[Stepper, Reading]):
+class LiveValve(LiveMachine[Stepper]):
     """A live machine that is a valve. `set_pressure` may be called in any thread, too."""
 
     rests = "the valve rests closed, without current"

@@ -62,7 +62,7 @@ class GasTopics:
     """The topics of a machine with gas."""
 
     def __init__(
-        self, node: Node, inbox: Inbox, clock: NodeClock, live: LiveMachine[Any, Any], messages: ReadingMessages
+        self, node: Node, inbox: Inbox, clock: NodeClock, live: LiveMachine[Any], messages: ReadingMessages
     ) -> None:
         self._messages = messages
         interface = Interface(node, topics.GAS)

@@ -70,7 +70,7 @@ class ValveNode(RosNode[ValveSettings]):
 
     def __init__(
         self, node: Node, sections: Sequence[tuple[str, Section]], table: Declares[ValveSettings],
-        machine_of: Callable[[Mapping[str, Value]], Any], made: Callable[..., LiveMachine[Any, Any]],
+        machine_of: Callable[[Mapping[str, Value]], Any], made: Callable[..., LiveMachine[Any]],
     ) -> None:  # fmt: skip
         super().__init__(node, sections, table, topics.VALVE)
         self._table, self._machine_of = table.table(), machine_of
