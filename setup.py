@@ -105,7 +105,6 @@ setup(
     package_data={
         NAME: ["py.typed"],
         f"{NAME}.files": ["plant_templates/*.yaml"],
-        f"{NAME}.fleet": ["templates/*.j2"],
         f"{NAME}.identification.reporting": ["templates/*.j2"],
     },
     data_files=[

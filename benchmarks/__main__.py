@@ -12,7 +12,6 @@ from typing import Final, NamedTuple
 
 HERE: Final = Path(__file__).parent
 ROS: Final = "ROS 2"
-FLEET: Final = "the extra fleet"
 
 
 class Benchmark(NamedTuple):
@@ -64,14 +63,12 @@ GROUPS: Final[dict[str, tuple[Benchmark, ...]]] = {
         Benchmark("nodes.timing", f"{ROS}, a quiet machine", "minutes"),
         Benchmark("nodes.station", f"{ROS}, a quiet machine", "minutes", "--seconds 60"),
         Benchmark("nodes.station", ROS, "ten minutes", "--busy 1000"),
-        Benchmark("nodes.soak", ROS, "five minutes", "--hours 24"),
     ),
     "Hard use": (
         Benchmark("fuzz", "", "minutes for each --share 0.01", "--share 0.01"),
         Benchmark("fuzz", ROS, "minutes", "--only topics"),
     ),
     "Tests": (Benchmark("mutation", "", "ten minutes", "identification/fit"),),
-    "Fleet": (Benchmark("fleet", FLEET, "two minutes a seed", "--seeds 10"),),
 }
 """What can be run; `test_benchmarks.py` holds that no program is left out."""
 

@@ -1,12 +1,11 @@
-"""How fast are the model, a fit and the commands? `python -m benchmarks.speed` prints all tables, or those named.
+"""How fast are the model and the commands? `python -m benchmarks.speed` prints all tables, or those named.
 
 core: runs at a tolerance of 1e-8 on one thread, per run; then 10,000 openings on one and on two threads. The best of
 the turns is shown, as machines change their speed by two within seconds.
 solvers: one opening (15 ms at 9 V, 150 outputs) in the core, by one call of `simulate`, and by SciPy RK45 with
 events, in turns; a ratio is the median of those of each turn.
-live: steps of 1 ms of the live valve. start: the first result of a process, with an empty cache and with a full one.
+live: steps of 1 ms of the live valve.
 whole: `identify` and `diagnose` on shipped recordings as new processes, CPU time.
-commands: `valve-sim identify` of half a second at 20 kHz as a new process, the fit in it, and reading.
 
 `long`, which is run only where it is named: `info`, `identify` and `validate` on recordings of --strokes strokes of
 80 ms at 20 kHz, as new processes: CPU time beyond starting, and the most memory. 10,000 strokes take 4 GB among the
@@ -16,12 +15,8 @@ temporary files. Exits 1 where a figure falls short.
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import itertools
-import json
 import os
-import statistics
-import subprocess
 import sys
 import tempfile
 import time
@@ -32,19 +27,14 @@ from typing import Any, Final, NamedTuple
 from unittest.mock import patch
 
 import numpy as np
-from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
-from plants.recording import Recorder, record, train_profile
 
-from benchmarks.campaign.declared import as_trace
 from benchmarks.common import parser, show
-from benchmarks.coverage import true_dampings
 from benchmarks.other_solvers import TIMES, TOLERANCE, scipy_opening
 from valve_sim.files.resources import config_path
 from valve_sim.model import Drive, EventKind, Valve, simulate
 from valve_sim.model.live import Live
 from valve_sim.model.runs import Directions, run_sloped
 from valve_sim.model.simulation import run_numbers
-from valve_sim.traces import Trace, read_trace, write_bag
 
 Work = Callable[[], object]
 DRIVE: Final = Drive.of([0.0], [9.0])
@@ -195,84 +185,6 @@ def live(options: argparse.Namespace) -> list[Row]:
     return rows
 
 
-START: Final = """
-import time
-begin = time.process_time()
-from valve_sim.model import Valve, simulate
-from valve_sim.model.drives import step
-imported = time.process_time()
-simulate(Valve(effects={effects}), step(9.0), [0.01])
-print(imported - begin, time.process_time() - imported)
-"""
-
-
-def start(options: argparse.Namespace) -> list[Row]:
-    """CPU seconds of importing, of the first result with an empty cache, and of it with a full one."""
-    rows = []
-    for name, effects in {
-        "default": {}, "one effect": {"coulomb_friction": {"force": 0.1}},
-        "five effects": {key: dict(values) for key, values in FIVE.effects.items()},
-    }.items():  # fmt: skip
-        with tempfile.TemporaryDirectory() as folder:
-            environment = {**os.environ, "VALVE_SIM_CACHE": f"{folder}/cache"}
-            command = [sys.executable, "-c", START.replace("{effects}", repr(effects))]
-            cold, warm = (
-                subprocess.run(command, env=environment, check=True, capture_output=True, text=True).stdout.split()
-                for _ in range(2)
-            )
-        rows.append(Row((name, f"{float(cold[0]):.2f}", f"{float(cold[1]):.2f}", f"{float(warm[1]):.3f}")))
-    return rows
-
-
-# --- a fit ------------------------------------------------------------------------------------------------------------
-
-
-def strokes() -> Trace:
-    """Eight strokes recorded at 20 kHz for half a second, by the independent plant."""
-    plant = DeclaredPlant(parameters={**CAMPAIGN_VALVE, **true_dampings(SEED)})
-    return as_trace(record(plant, train_profile(), Recorder(quantisation=0.1e-6), SEED), f"seed {SEED}")
-
-
-FIT: Final = """
-import json, sys, time
-from valve_sim.identification.diagnosis.identify import identify
-from valve_sim.files.parameter_files import default_valve
-from valve_sim.traces import read_trace
-trace = read_trace(sys.argv[1])
-started = time.perf_counter()
-identify([trace], default_valve().exact())
-print(json.dumps(time.perf_counter() - started))
-"""
-LONG_BAG: Final = 1_000_000
-"""JointStates in the bag whose reading is timed."""
-
-
-def commands(options: argparse.Namespace) -> list[Row]:
-    """What a user waits for; medians and bests of three, compiled before."""
-    trace = strokes()
-    with tempfile.TemporaryDirectory(prefix="valve_sim-") as place:
-        folder = Path(place)
-        bag, long_bag = folder / "strokes.mcap", folder / "long.mcap"
-        write_bag(bag, trace)
-        identify = [sys.executable, "-m", "valve_sim", "identify", str(bag), "--output", str(folder / "identified")]
-        fit = [sys.executable, "-c", FIT, str(bag)]
-        whole, fits = [], []
-        for _ in range(4):  # the first fills the compile cache, if nobody has
-            started = time.perf_counter()
-            subprocess.run(identify, check=True, capture_output=True)
-            whole.append(time.perf_counter() - started)
-            fits.append(float(json.loads(subprocess.run(fit, check=True, capture_output=True).stdout)))
-        samples = np.resize(trace.pilot_position, LONG_BAG)
-        repeated = {"pilot_position": samples, "main_position": samples, "times": np.arange(LONG_BAG) / 20e3}
-        write_bag(long_bag, dataclasses.replace(trace, **repeated))
-        rate = LONG_BAG / float(times_in_turn([lambda: read_trace(long_bag)], 3).min())
-    return [
-        wanted("identify, a new process", statistics.median(whole[1:]), 3.0, "s"),
-        wanted("of it fitting and intervals", statistics.median(fits[1:]), 1.0, "s"),
-        Row(("reading, JointStates a second", f"{rate:,.0f}", "≥ 400,000"), rate >= 4e5),
-    ]
-
-
 SHIPPED: Final = Path(__file__).parents[1]
 
 
@@ -362,9 +274,7 @@ PARTS: Final[Mapping[str, Part]] = {
     "core": Part("runs at 1e-8, one thread", ("what", "each", "wanted"), core),
     "solvers": Part("15 ms opening, 150 outputs, 1e-8", ("what", "µs", "ratio", "event error, s", "wanted"), solvers),
     "live": Part("live steps of 1 ms", ("what", "each", "wanted"), live),
-    "start": Part("start, CPU s", ("effects", "imports", "first result, empty cache", "full cache"), start),
     "whole": Part("whole commands, CPU s", ("command", "nothing compiled", "compiled"), whole),
-    "commands": Part("what a user waits for", ("what", "measured", "wanted"), commands),
     "long": Part(
         f"long recordings: at most {FLAT:g} a stroke, {BYTES_PER_SAMPLE:g} B a sample beyond 250 MB",
         ("command, strokes", "CPU", "a stroke", "over the shortest", "memory", "a sample"), long,

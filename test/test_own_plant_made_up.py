@@ -14,9 +14,8 @@ from valve_sim.files.plant_files import load_plant
 from valve_sim.identification.diagnosis.identify import identify_plant
 from valve_sim.identification.diagnosis.run import diagnose_plant
 from valve_sim.identification.plants.own import OwnPlant
-from valve_sim.identification.reporting.diagnosis_json import to_json
-from valve_sim.identification.reporting.html import write_report
-from valve_sim.identification.reporting.text import diagnosis_text
+from valve_sim.identification.reporting.diagnosis import diagnosis_document
+from valve_sim.identification.reporting.page import write_page
 from valve_sim.traces.columns import read
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples" / "own_plants"
@@ -49,18 +48,19 @@ def test_friction_and_a_load_of_an_axis_are_found_and_measured(tmp_path: Path) -
     assert found["coulomb_friction.level"].value == pytest.approx(8.0, rel=0.05)
     assert found["load.load"].value == pytest.approx(3.0, rel=0.05)
     # An axis that never stands shows no noise of its sensor: nothing may say what that is, nor that only it is left.
-    write_report(diagnosis, tmp_path / "report.html")
+    document = diagnosis_document(diagnosis)
+    write_page(document, tmp_path / "report.html")
     page = (tmp_path / "report.html").read_text()
     assert "The sensor's noise is not known" in page.replace("&#39;", "'")
-    assert "The residual is only noise" not in page
-    assert "left by the best model" in diagnosis_text(diagnosis)
+    assert "The noise of the sensor is" not in page
+    assert "The best model leaves" in document.to_text()
 
 
 @pytest.mark.long
 def test_an_axis_that_does_not_rub_lacks_nothing_and_is_reported_in_newtons(tmp_path: Path) -> None:
     diagnosis = diagnose_plant(axis(tmp_path, 0.0, 0.0), None)
     assert diagnosis.verdict.effects == ()
-    report = to_json(diagnosis)
+    report = diagnosis_document(diagnosis).to_json()
     assert report["unit"] == "N"
     assert not [name for name in report["before"] if name.endswith("_um")]
 

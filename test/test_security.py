@@ -84,7 +84,7 @@ def test_a_name_in_a_bag_is_text_on_the_page(tmp_path: Path) -> None:
     load_valve(results / "corrected.yaml")
     page = Page((results / "report.html").read_text(encoding="utf-8"))
     assert page.handlers == []
-    assert json.loads(page.scripts[0]).keys() == {"strokes", "maps"}
+    assert json.loads(page.scripts[0])[0].keys() == {"x", "name", "panels"}
     assert not any("alert(1)" in script for script in page.scripts[1:])
     assert HOSTILE in page.text
 

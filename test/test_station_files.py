@@ -33,12 +33,14 @@ def test_every_figure_of_a_stroke_is_a_number_as_a_whole_in_one_series() -> None
     monitor = Monitor(default_valve(), MonitorSettings(commissioning_strokes=8))
     valve = LiveValve(seed=5, rate=2e3, jitter=0.0)
     reports = [report for _ in range(12) for report in feed(monitor, valve.stroke())]
-    told = [stroke_status(report).values for report in reports]
+    told = [stroke_status(report, "/valve").values for report in reports]
     known = [{name for name, value in values.items() if is_number(value)} for values in told]
-    assert known[0] >= {"stroke", "opening delay (ms)", "t1 (ms)", "t2 (ms)", "closing time (ms)"}
-    assert known[8] >= {"noise (µm)", "scatter of commands (ms)", "threshold", "residual (µm)", "highest sum"}
-    assert known[8] >= {"pilot_damping (N·s·m⁻¹)", "main_damping (N·s·m⁻¹)"}
-    assert known[8] >= {f"score {name}" for name in reports[8].scores}
+    assert known[0] >= {"stroke", "opening_delay", "t1", "t2", "closing_time"}
+    assert known[8] >= {"noise_um", "command_scatter", "alarm.threshold", "residual_rms_um", "alarm.sum"}
+    assert known[8] >= {
+        f"damping.{name}.{part}" for name in ("pilot_damping", "main_damping") for part in ("value", "stderr")
+    }
+    assert known[8] >= {f"scores.{name}" for name in reports[8].scores}
     assert not any("/" in name for values in told for name in values)
 
 

@@ -146,9 +146,9 @@ class Identification(fitting.Identification):
 
     def __str__(self) -> str:
         """The report for a terminal."""
-        from valve_sim.identification.reporting.identification import identification_text
+        from valve_sim.identification.reporting.identification import identification_document
 
-        return identification_text(self)
+        return identification_document(self).to_text()
 
     def _repr_html_(self) -> str:
         """The refitted parameters as a table, with what was found beside it."""
@@ -203,16 +203,15 @@ class Diagnosis(outcome.Diagnosis):
 
     def __str__(self) -> str:
         """The report for a terminal."""
-        from valve_sim.identification.reporting.text import diagnosis_text
+        from valve_sim.identification.reporting.diagnosis import diagnosis_document
 
-        return diagnosis_text(self)
+        return diagnosis_document(self).to_text()
 
     def _repr_html_(self) -> str:
         """The verdict in a sentence, and the most probable sets of effects as a table."""
-        from valve_sim.identification.reporting.summary import summarise
-        from valve_sim.identification.reporting.wording import headline
+        from valve_sim.identification.reporting.claims import summarise
 
-        return _html_table(headline(self), self._rows()[:5]) + f"<p>{html.escape(summarise(self))}</p>"
+        return _html_table(summarise(self), self._rows()[:5])
 
     def _rows(self) -> list[dict[str, Any]]:
         return [
@@ -237,7 +236,7 @@ class Diagnosis(outcome.Diagnosis):
 
     def plot(self) -> Picture:
         """The strokes that the declared model misses most, before and after; a Matplotlib figure."""
-        from valve_sim.identification.reporting.html import draw_diagnosis
+        from valve_sim.identification.reporting.figures import draw_diagnosis
 
         return draw_diagnosis(self)
 
@@ -409,8 +408,9 @@ def _residual(found: Fit) -> Residual:
     index = primary_channels(problem.plant)[0]
     channel = problem.plant.channels[index]
     is_fitted = problem.weight(index) > 0.0
-    if channel.left_out is not None:
-        is_fitted &= ~channel.left_out
+    left_out = problem.left_out(index)
+    if left_out is not None:
+        is_fitted &= ~left_out
     left = (channel.data - found.shown()[index])[is_fitted]
     return Residual(channel.times[is_fitted], left, problem.noise_of(index).sigma, channel.unit)
 

@@ -16,7 +16,7 @@ from benchmarks.campaign.constants import constants_table
 from benchmarks.campaign.running import Outcome, examine, run_cases, true_declared
 from benchmarks.campaign.tables import DEMANDS, OF_A_SLICE, tables
 from benchmarks.common import add_jobs, add_seeds, parser
-from valve_sim.identification.reporting.text import diagnosis_text
+from valve_sim.identification.reporting.diagnosis import diagnosis_document
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -97,7 +97,7 @@ def _run_again(known: argparse.ArgumentParser, name: str) -> int:
     for key, value in {"bench": bench and bench.words, **document["case"]}.items():
         print(f"{key:<15} {value}")
     for diagnosis in diagnoses:
-        print("", diagnosis_text(diagnosis), "probability   unnamed   ΔBIC", sep="\n")
+        print("", diagnosis_document(diagnosis).to_text(), "probability   unnamed   ΔBIC", sep="\n")
         for one in diagnosis.candidates[:8]:
             print(f"{one.probability:<14.3g}{one.unnamed:<10.3g}{one.delta_bic:<13.1f}{' + '.join(one.effects)}")
     for key in ("label", "noise_floor", "is_covered", "advice", "measured"):

@@ -22,7 +22,7 @@ from benchmarks.common import in_processes
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
 from valve_sim.identification.fit.posterior import Evidence, Grounds, Rivals
 from valve_sim.identification.plants.tolerances import SAME_AS, principal_axes
-from valve_sim.identification.reporting.summary import recording_advice
+from valve_sim.identification.reporting.claims import recording_advice
 from valve_sim.model.parameters import POLYNOMIAL_NAMES
 
 LARGEST_CLASS: Final = 4

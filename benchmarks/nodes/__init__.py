@@ -1,1 +1,1 @@
-"""Nodes as processes: how they keep time, what a station takes, how they stand a busy machine and a long day."""
+"""Nodes as processes: how they keep time, what a station takes, and how they stand a busy machine."""

@@ -22,7 +22,6 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import json
 import math
 import sys
 import time
@@ -32,9 +31,9 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray
-from nodes.ros_process import Probe, cpu_seconds
+from nodes.ros_process import Probe, cpu_seconds, report_of
 from sensor_msgs.msg import FluidPressure
-from std_msgs.msg import Float64, String
+from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
 from benchmarks.common import parser, say
@@ -101,7 +100,7 @@ class Hand:
         self._diagnostics = hear("/diagnostics", DiagnosticArray)
         self._vehicle = hear("/dispenser/vehicle_pressure", FluidPressure)
         self._commands = {tank: hear(f"/{tank}/valve/coil_voltage", Float64) for tank in TANKS}
-        self.reports = {tank: hear(f"/{tank}/monitor/stroke_report", String) for tank in TANKS}
+        self.reports = {tank: hear(f"/{tank}/monitor/stroke_report", DiagnosticArray) for tank in TANKS}
         self.findings: dict[str, list[Finding]] = {tank: [] for tank in TANKS}
         self._voltages = {}
         self._recommission = [self.probe.node.create_client(Trigger, f"/{tank}/monitor/recommission") for tank in TANKS]
@@ -180,7 +179,7 @@ class Hand:
 
     def reports_since(self, before: Mapping[str, int]) -> dict[str, list[dict[str, Any]]]:
         """Reports of each monitor after so many."""
-        return {tank: [json.loads(one.data) for one in own[before[tank] :]] for tank, own in self.reports.items()}
+        return {tank: [report_of(one) for one in own[before[tank] :]] for tank, own in self.reports.items()}
 
 
 def _rises(is_on: Sequence[bool]) -> int:
@@ -267,11 +266,11 @@ def phase(hand: Hand, count: int, words: str) -> Tally:
     before = hand.reported()
     hand.strokes_together(count)
     new = hand.reports_since(before)
-    raised = {tank: [report["alarm"]["raised"] for report in own] for tank, own in new.items()}
+    raised = {tank: [report["alarm.raised"] for report in own] for tank, own in new.items()}
     tally = Tally(
         {tank: len(own) for tank, own in new.items()},
         {tank: sum(own) for tank, own in raised.items()},
-        {tank: sum(report["fault"] is not None for report in own) for tank, own in new.items()},
+        {tank: sum("fault" in report for report in own) for tank, own in new.items()},
         {tank: own.index(True) + 1 if any(own) else None for tank, own in raised.items()},
     )
     for tank in TANKS:
@@ -288,7 +287,7 @@ def commission(hand: Hand) -> bool:
     """Stroke until every monitor watches; whether they do."""
     for _ in range(20):
         hand.strokes_together(COMMISSIONING + 4)
-        last = [json.loads(own[-1].data)["state"] for own in hand.reports.values() if own]
+        last = [report_of(own[-1])["state"] for own in hand.reports.values() if own]
         if len(last) == len(TANKS) and not {"commissioning", "not judged"} & set(last):
             return True
     return False

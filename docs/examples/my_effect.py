@@ -10,7 +10,7 @@ import numpy as np
 
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
-from valve_sim.identification.reporting.summary import summarise
+from valve_sim.identification.reporting.claims import summarise
 from valve_sim.model import CATALOGUE, Drive, Valve
 from valve_sim.model.effects import Effect
 from valve_sim.model.parameters import Parameter

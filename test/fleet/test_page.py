@@ -66,11 +66,11 @@ def test_the_page_fits_every_screen_and_unfolds_its_plots(tmp_path: Path) -> Non
     with Browser(page, tmp_path) as browser:
         for width, scheme in ((390, "dark"), (1120, "light")):
             browser.show(width, scheme=scheme)
-            assert browser.evaluate("document.documentElement.dataset.drawn") == "20"
-            browser.evaluate("document.querySelector('[data-valve]').open = true")
-            while browser.evaluate("document.querySelectorAll('.plots svg').length") < len(MEANS):
+            assert browser.evaluate("document.querySelectorAll('.row svg.spark polyline[points]').length") == 20
+            browser.evaluate("document.querySelector('.row').open = true")
+            while browser.evaluate("document.querySelectorAll('.row figure svg').length") < len(MEANS):
                 pass
-            assert browser.evaluate("document.querySelectorAll('.plots circle').length") == 100 * len(MEANS)
+            assert browser.evaluate("document.querySelectorAll('.row circle').length") == 100 * len(MEANS)
             assert browser.evaluate("document.documentElement.scrollWidth") <= width
             assert browser.evaluate("document.querySelector('a[href]').getAttribute('href')").startswith(
                 "reports/line-"

@@ -14,9 +14,9 @@ from valve_sim.identification.diagnosis.followed_positions import followed_posit
 from valve_sim.identification.diagnosis.identify import identify
 from valve_sim.identification.diagnosis.run import diagnose, diagnose_plant
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.reporting.diagnosis_json import to_json
-from valve_sim.identification.reporting.identification import identification_json, identification_text
-from valve_sim.identification.reporting.validation import validation_json, validation_text
+from valve_sim.identification.reporting.diagnosis import diagnosis_document
+from valve_sim.identification.reporting.identification import identification_document
+from valve_sim.identification.reporting.validation import validation_document
 from valve_sim.identification.validation.replay import validate
 from valve_sim.model import Drive, Tolerances, Valve
 from valve_sim.traces import Signal, Trace, events_from_sensors
@@ -71,10 +71,10 @@ def test_dampings_are_refitted_and_the_position_follows() -> None:
     assert np.sqrt(np.mean(error**2)) < 5e-6
     moves = followed.stderr > 0.05e-6
     assert np.mean(np.abs(error[moves]) < 3 * followed.stderr[moves]) > 0.9
-    report = identification_json(result)
+    report = identification_document(result).to_json()
     assert report["rmse_ma"]["after"] == pytest.approx(1e3 * result.rmse_after)
     assert not any(key.endswith("_um") for key in [*report, *report["noise"]])
-    assert "mA as declared" in identification_text(result)
+    assert "mA as declared" in identification_document(result).to_text()
 
 
 def test_a_command_without_its_droop_is_not_the_input_where_the_voltage_was_measured() -> None:
@@ -84,10 +84,10 @@ def test_a_command_without_its_droop_is_not_the_input_where_the_voltage_was_meas
     assert seen.passed
     assert not unseen.passed
     assert unseen.errors.rmse > 5 * seen.errors.rmse
-    report = validation_json(validate([trace], declared(BUILD), current_tolerance=1e-6))
+    report = validation_document(validate([trace], declared(BUILD), current_tolerance=1e-6)).to_json()
     assert not report["passed"]
     assert report["recordings"][0]["tolerance_ma"] == pytest.approx(1e-3)
-    assert "mA" in validation_text(validate([trace], declared(BUILD)))
+    assert "mA" in validation_document(validate([trace], declared(BUILD))).to_text()
 
 
 def test_the_stop_bends_the_current() -> None:
@@ -97,6 +97,27 @@ def test_the_stop_bends_the_current() -> None:
     found = [event for stroke in openings for event in stroke.events if event.kind == "reaches_stop"]
     assert [event.sensor for event in found] == ["current", "current"]
     assert [event.time for event in found] == pytest.approx(truth.tolist(), abs=30e-6)
+
+
+@pytest.mark.parametrize("noise", [0.1e-3, 1e-3])
+@pytest.mark.parametrize("rate", [10e3, 20e3])
+def test_arrivals_by_the_current_are_within_their_errors(rate: float, noise: float) -> None:
+    random, deviations, openings = np.random.default_rng(2), [], 0
+    for build in (Build(), BUILD, Build(knee=1.2, pilot_damping=2.5, main_damping=7.0)):
+        drive = Drive.of((DRIVE.times + random.uniform(0.0, 1e-3, 4)).tolist(), [10.3, 0.0, 14.0, 0.0])
+        times = np.arange(round(0.13 * rate)) / rate
+        shown = simulate(build, drive.times, drive.volts, times)
+        truth = {"reaches_stop": shown.reached_stop, "pilot_reaches_main": shown.reached_gap}
+        for _ in range(4):
+            current = Signal(times, shown.current + noise * random.standard_normal(len(times)))
+            trace = Trace("coil alone", drive, times[:0], times[:0], coil_current=current)
+            for stroke, events in events_from_sensors(trace, 0.26e-3):
+                openings += stroke.kind == "opening"
+                for event in events if stroke.kind == "opening" else ():
+                    true = next(time for time in truth[event.kind] if stroke.start < time < stroke.stop)
+                    deviations.append((event.time - true) / event.stderr)
+    assert len(deviations) >= 0.8 * openings
+    assert np.mean(np.abs(deviations) < 1.96) >= 0.95
 
 
 def test_nothing_bends_the_current_of_a_valve_that_is_held() -> None:
@@ -110,7 +131,7 @@ def test_a_diagnosis_reports_in_milliamperes_and_gives_the_position() -> None:
     trace, position = recorded()
     result = diagnose([trace], [], replace(declared(BUILD), tolerances=Tolerances({"pilot_gap": 4e-6}, None, {})))
     assert result.verdict.kind == "none"
-    report = to_json(result)
+    report = diagnosis_document(result).to_json()
     assert report["unit"] == "mA"
     assert report["before"]["rmse_ma"]["train"] == pytest.approx(1e3 * NOISE, rel=0.1)
     strokes = report["position_from_current"]

@@ -24,7 +24,7 @@ from valve_sim.identification.monitoring.findings import OpenedPartly, WaitsForP
 from valve_sim.identification.monitoring.segmenter import StrokeSegmenter
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.reporting.validation import validation_json, validation_text
+from valve_sim.identification.reporting.validation import validation_document
 from valve_sim.identification.validation.replay import validate
 from valve_sim.model import Drive, ParameterError, Tolerances, Valve, simulate
 from valve_sim.nodes.identification_work import predict
@@ -143,10 +143,10 @@ def test_validate_judges_the_pressure() -> None:
     assert right.passed
     assert not wrong.passed
     assert right.replays[0].noise == pytest.approx(NOISE, rel=0.15)
-    report = validation_json(validate([trace], gas_valve(), pressure_tolerance=1e3))
+    report = validation_document(validate([trace], gas_valve(), pressure_tolerance=1e3)).to_json()
     assert not report["passed"]
     assert report["recordings"][0]["tolerance_kpa"] == pytest.approx(1.0)
-    assert "kPa" in validation_text(right)
+    assert "kPa" in validation_document(right).to_text()
 
 
 def test_pressure_beside_positions_is_judged_by_itself() -> None:

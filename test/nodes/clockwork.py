@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from .ros_process import PATIENCE, Probe
+from .ros_process import PATIENCE, Probe, report_of
 
 STROKE = (0.1, 0.03, 0.12)
 """s of rest, of voltage, and without it again."""
@@ -21,10 +20,11 @@ class Clockwork:
     """A station's clock and the hand on its coils, one probe for each valve; a busy machine makes it slow."""
 
     def __init__(self, probes: Sequence[Probe]) -> None:
+        from diagnostic_msgs.msg import DiagnosticArray
         from rcl_interfaces.srv import GetParameters
         from rosgraph_msgs.msg import Clock
         from sensor_msgs.msg import JointState
-        from std_msgs.msg import Float64, String
+        from std_msgs.msg import Float64
 
         self._probe = probes[0]
         self._clock_type, self._float = Clock, Float64
@@ -33,7 +33,7 @@ class Clockwork:
         self._voltages = [probe.talker("coil_voltage", Float64) for probe in probes]
         monitors = [probe.target.replace("valve", "monitor") for probe in probes]
         # The predictions last: a monitor that has found who hears them has found all that was announced before.
-        self._reports = [self._probe.hear(f"{name}/stroke_report", String) for name in monitors]
+        self._reports = [self._probe.hear(f"{name}/stroke_report", DiagnosticArray) for name in monitors]
         self._predicted = [self._probe.hear(f"{name}/predicted/joint_states", JointState) for name in monitors]
         # A node answers a question after it has taken what was sent before: its answer says that it has.
         self._question = GetParameters.Request()
@@ -76,11 +76,11 @@ class Clockwork:
 
     def told(self, index: int) -> list[Any]:
         """The stroke reports of one monitor."""
-        return [json.loads(report.data) for report in self._reports[index]]
+        return [report_of(report) for report in self._reports[index]]
 
     def is_alarmed(self, index: int) -> bool:
         """Whether one monitor has raised an alarm."""
-        return any(report["alarm"]["raised"] for report in self.told(index))
+        return any(report["alarm.raised"] for report in self.told(index))
 
     def _is_watching(self, index: int) -> bool:
         return any(report["state"] == "watching" for report in self.told(index))

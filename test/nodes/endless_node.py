@@ -12,7 +12,7 @@ import sys
 from typing import Any, NoReturn
 
 PLACES = {
-    "valve_node": "valve:load_stepper",
+    "valve_node": "live_valve:load_stepper",
     "monitor_node": "monitor_work:isolate_fault",
     "identification_node": "identification:fit_or_diagnose",
     "command_profile": "profile:checked_profile",

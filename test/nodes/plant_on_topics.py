@@ -6,14 +6,13 @@ fast as it can take them, and a busy machine is slow and no worse.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from identification.live_strokes import LiveStroke, LiveValve
 
-from .ros_process import ASK_AGAIN, PATIENCE, Probe
+from .ros_process import ASK_AGAIN, PATIENCE, Probe, report_of
 
 CHUNK = 100
 """Samples that are under way at most."""
@@ -28,9 +27,10 @@ class PlantOnTopics:
     """A valve for monitor_node to watch, and ears for what it says."""
 
     def __init__(self, probe: Probe, valve: LiveValve, monitor: str = "/monitor") -> None:
+        from diagnostic_msgs.msg import DiagnosticArray
         from rosgraph_msgs.msg import Clock
         from sensor_msgs.msg import JointState
-        from std_msgs.msg import Float64, String
+        from std_msgs.msg import Float64
 
         self._probe = probe
         self._valve = valve
@@ -39,7 +39,7 @@ class PlantOnTopics:
         self._voltage = probe.talker("coil_voltage", Float64)
         self._samples = probe.talker("measured/joint_states", JointState, 1000)
         # The predictions last: a monitor that has found who hears them has found all that was announced before.
-        self._reports = probe.hear(f"{monitor}/stroke_report", String)
+        self._reports = probe.hear(f"{monitor}/stroke_report", DiagnosticArray)
         self.residuals = probe.hear(f"{monitor}/residual", Float64)
         self.predicted = probe.hear(f"{monitor}/predicted/joint_states", JointState)
         self._taken = self._sent = 0
@@ -90,7 +90,7 @@ class PlantOnTopics:
 
     def take_reports(self) -> list[Any]:
         """The reports that have come since it was last asked."""
-        taken = [json.loads(report.data) for report in self._reports]
+        taken = [report_of(report) for report in self._reports]
         self._taken += len(taken)
         self._reports.clear()
         return taken

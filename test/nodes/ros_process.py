@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import re
 import signal
@@ -67,6 +68,19 @@ def end(process: subprocess.Popen[Any]) -> None:
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
+
+
+def report_of(message: Any) -> dict[str, Any]:
+    """What the only status of a message says, by key; numbers and truths as such."""
+    (status,) = message.status
+    return {pair.key: _plain(pair.value) for pair in status.values}
+
+
+def _plain(text: str) -> Any:
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text
 
 
 class NodeProcess:

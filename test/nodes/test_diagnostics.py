@@ -139,6 +139,7 @@ def test_samples_whose_stamps_are_of_another_clock_are_a_warning_with_its_mend(
     [
         ((1.4, 1.3, 1.2), "/s comes 1.2 s to 1.4 s after its stamps"),
         ((1.4, 1.399), "/s is stamped 1.4 s behind"),
+        ((3.0, 3.2), "/s is stamped 3.0 s behind"),
         ((-1.4, -1.3, -1.2), "/s is stamped 1.2 s ahead"),
     ],
 )

@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nodes.ros import Float64, JointState, String, Trigger
+from nodes.ros import Float64, JointState, String
 from valve_sim.files.parameter_files import default_valve, load_valve
 from valve_sim.files.parameter_sections import read_sections
 from valve_sim.files.resources import config_path
 from valve_sim.identification.plants.valve import volts_at
-from valve_sim.identification.reporting.recording_profile import STROKE_LEVELS
+from valve_sim.identification.reporting.record_next import STROKE_LEVELS
 from valve_sim.traces import read_trace
 from valve_sim.traces.synthetic import read_profile
 
@@ -146,14 +146,13 @@ def test_what_was_set_all_the_same_can_be_undone(probe: Probe, live: Probe, tmp_
         wrong = live.parameters()
         assert wrong["valve.main_damping"] != 4.0
         assert live.set_parameters(frame_id="tank")[0].successful
-        # Its answer may be lost; who asks again hears that there is nothing left to undo.
-        probe.call("undo", Trigger)
-        assert live.parameters() == {**before, "frame_id": "tank"}, "what others set meanwhile stays"
-        assert not probe.call("undo", Trigger).success, "there is nothing left to undo"
         said = ended(process, signal.SIGINT)
     assert "is given the result although the residual is not white" in said
-    assert "/valve has its own values again: " in said
-    (section,) = read_sections(tmp_path / "before.yaml")
+    file = tmp_path / "before.yaml"
+    assert f"undo: `ros2 param load /valve {file.resolve()}`" in said
+    (section,) = read_sections(file)
+    assert all(one.successful for one in live.set_parameters(**section.values)), "as that command does"
+    assert live.parameters() == {**before, "frame_id": "tank"}, "what others set meanwhile stays"
     assert section.node == "/valve"
     assert section.values == {name: before[name] for name in section.values}
     assert {"valve.main_damping", "effects.coulomb_friction.force", "tolerances.stroke"} <= section.values.keys()

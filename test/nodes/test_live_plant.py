@@ -52,7 +52,7 @@ def test_the_watchdog_the_limit_a_reset_and_other_parameters_act_as_on_a_valve()
     assert live.command(START, 24.0)
     assert live.step(START + 30_000_000).reading.pilot_position > 1e-3
     numbers = {name: own.value for name, own in NodePlant(str(PLANT)).file.parameters.items()}
-    live.set_numbers(START + 30_000_000, {**numbers, "stroke": 0.9e-3})
+    live.go_on_as(START + 30_000_000, {**numbers, "stroke": 0.9e-3})
     changed = live.step(START + 60_000_000)
     assert changed.reading.pilot_position == pytest.approx(0.9e-3, abs=2e-5), "pressed back to the new stop"
     late = live.step(START + 300_000_000)
@@ -62,7 +62,7 @@ def test_the_watchdog_the_limit_a_reset_and_other_parameters_act_as_on_a_valve()
     live.reset(START + 330_000_000)
     rested = live.step(START + 330_000_000)
     assert (rested.reading.pilot_position, rested.phases, live.volts) == (0.0, (0,), 0.0)
-    live.set_numbers(START + 340_000_000, {**numbers, "moving_mass": 0.0})
+    live.go_on_as(START + 340_000_000, {**numbers, "moving_mass": 0.0})
     live.command(START + 340_000_000, 24.0)
     failed = live.step(START + 370_000_000)
     assert "not finite" in failed.failure and failed.reading.pilot_position == 0.0

@@ -75,7 +75,7 @@ def test_parameters_change_without_a_jump_in_state(delay: float, cutoff: float) 
     live.restart(START, START)
     live.command(START, 9.0)
     before = run(live, [0.0, 7.0])[-1].reading
-    live.set_valve(START + 7 * MILLISECOND, valve.with_values(spring_rate=2000.0, coil_time_constant=5e-3))
+    live.go_on_as(START + 7 * MILLISECOND, valve.with_values(spring_rate=2000.0, coil_time_constant=5e-3))
     after = run(live, [7.0])[-1].reading
     for name in ("pilot_position", "main_position", "pilot_velocity", "coil_current"):
         assert getattr(after, name) == pytest.approx(getattr(before, name), abs=1e-9)
@@ -199,7 +199,7 @@ def test_the_tank_pressure_is_followed_from_its_own_time_on_however_time_is_cut(
     stepper.supply(0.600000001, 60e6)
     stepper.supply(0.799000001, 65e6)
     expected = stepper.advance(0.8)
-    assert (reading.phase, live.pressure("inlet_pressure")) == (Phase.OPEN, 65e6)
+    assert (reading.phase, live.pressures()["inlet_pressure"]) == (Phase.OPEN, 65e6)
     assert 61e6 < reading.outlet_pressure < 65.001e6
     assert reading.outlet_pressure == pytest.approx(expected.outlet_pressure, rel=1e-6)
     assert reading.mass_flow == pytest.approx(expected.mass_flow, rel=1e-4)
@@ -213,7 +213,7 @@ def test_a_pressure_that_no_tank_has_is_ignored(pressure: float) -> None:
     assert not live.set_pressure("inlet_pressure", START, pressure)
     assert not live.set_pressure("demand_pressure", START, pressure)
     run(live, [1.0])
-    assert (live.pressure("inlet_pressure"), live.pressure("demand_pressure")) == (60e6, 2e6)
+    assert (live.pressures()["inlet_pressure"], live.pressures()["demand_pressure"]) == (60e6, 2e6)
 
 
 @pytest.mark.parametrize(
@@ -236,15 +236,15 @@ def test_a_pressure_is_followed_through_a_reset_until_another_is_declared(
     live.reset(START + 200 * MILLISECOND)
     live.command(START + 201 * MILLISECOND, 0.0 if is_demand else 9.0)
     step = run(live, [400.0])[-1]
-    assert (step.failure, live.pressure(name)) == ("", heard)
+    assert (step.failure, live.pressures()[name]) == ("", heard)
     assert step.reading.outlet_pressure == pytest.approx(heard, rel=1e-6)
-    live.set_valve(START + 400 * MILLISECOND, live.valve.with_values(main_damping=3.5))
+    live.go_on_as(START + 400 * MILLISECOND, live.valve.with_values(main_damping=3.5))
     run(live, [401.0])
-    assert live.pressure(name) == heard
+    assert live.pressures()[name] == heard
     other = dataclasses.replace(live.valve, gas=gas._replace(**{name: declared}))
-    live.set_valve(START + 401 * MILLISECOND, other)
+    live.go_on_as(START + 401 * MILLISECOND, other)
     outlet = run(live, [600.0])[-1].reading.outlet_pressure
-    assert live.pressure(name) == declared
+    assert live.pressures()[name] == declared
     assert outlet == pytest.approx(declared, rel=1e-9) if is_demand else outlet > 1.001 * heard
 
 
@@ -284,7 +284,7 @@ def test_a_flood_while_the_clock_stands_still_fills_no_memory() -> None:
         live.set_pressure("inlet_pressure", START + MILLISECOND, 10e6 + index)
     assert len(live._requests) == 2
     run(live, [2.0])
-    assert (live.volts, live.pressure("inlet_pressure")) == (24.0, 10e6 + 1_999)
+    assert (live.volts, live.pressures()["inlet_pressure"]) == (24.0, 10e6 + 1_999)
 
 
 GAS_35 = load_valve(CONFIG / "hydrogen_35mpa.yaml")

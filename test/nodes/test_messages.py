@@ -60,7 +60,7 @@ def test_the_coil_carries_current_and_voltage_and_nothing_else() -> None:
 @pytest.mark.parametrize("phase", list(Phase))
 def test_phase_and_is_open(phase: Phase) -> None:
     assert sent(messages.PHASE[phase]).data == int(phase)
-    assert sent(messages.IS_OPEN[phase]).data is (phase is Phase.OPEN)
+    assert sent(messages.IS_OPEN[phase is Phase.OPEN]).data is (phase is Phase.OPEN)
 
 
 def test_diagnostics_are_named_after_the_node() -> None:

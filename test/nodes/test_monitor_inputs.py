@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections import deque
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from nodes.ros import BatteryState, Float64, FluidPressure, JointState
-from valve_sim.nodes.monitor_inputs import MonitorInputs, Takers
+from valve_sim.nodes.monitor_inputs import MonitorInputs
+from valve_sim.nodes.monitor_work import InputCount, StampCheck
 from valve_sim.nodes.realtime import Arrival, ClockReading
 
 pytestmark = pytest.mark.ros
@@ -77,12 +79,12 @@ class Heard:
         def note(kind: str) -> Any:
             return lambda *values: self.taken.append((kind, *values))
 
-        kinds = ("command", "position", "coil", "outlet", "end", "rejected")
-        self.stamps = list[tuple[str, int, int]]()
-        take = Takers(*(note(kind) for kind in kinds), lambda *stamp: self.stamps.append(stamp))
+        kinds = ("command", "position", "coil", "outlet_pressure", "end_pressure")
+        live: Any = SimpleNamespace(**{kind: note(kind) for kind in kinds}, stamps=StampCheck(), input=InputCount())
         node: Any = self.node
         clock: Any = Clock()
-        self.inputs = MonitorInputs(node, clock, "/valve", f"/valve/{measured}", take, has_gas=True)
+        self.inputs = MonitorInputs(node, clock, "/valve", f"/valve/{measured}")
+        self.inputs.hear(live, has_gas=True)
 
     def put(self, topic: str, pressure: float, stamp: int = 0) -> None:
         message = FluidPressure(fluid_pressure=pressure)
@@ -108,7 +110,7 @@ def test_what_a_simulated_valve_obeys_counts_in_place_of_what_it_is_told() -> No
     heard.put("obeyed/demand_pressure", 12e6, 6)
     heard.put("inlet_pressure", 25e6, 2)
     heard.sample()
-    ends = {end: [taken[2:] for taken in heard.taken if taken[:2] == ("end", end)] for end in ENDS}
+    ends = {end: [taken[2:] for taken in heard.taken if taken[:2] == ("end_pressure", end)] for end in ENDS}
     assert ends == {"demand_pressure": [(1, 14e6), (4, 13e6), (6, 12e6)], "inlet_pressure": [(1, 26e6), (2, 25e6)]}
     assert "/valve/demand_pressure" not in heard.node.queues and "/valve/inlet_pressure" in heard.node.queues
 
@@ -121,9 +123,9 @@ def test_beside_a_real_valve_its_sensors_count_and_no_simulation() -> None:
     heard.put("measured/outlet_pressure", 3e6, 3)
     heard.sample("measured/joint_states")
     assert set(heard.taken[:-1]) == {
-        ("end", "inlet_pressure", 1, 26e6),
-        ("end", "inlet_pressure", 2, 25e6),
-        ("outlet", 3, 3e6),
+        ("end_pressure", "inlet_pressure", 1, 26e6),
+        ("end_pressure", "inlet_pressure", 2, 25e6),
+        ("outlet_pressure", "outlet_pressure", 3, 3e6),
     }
     assert "/valve/inlet_pressure" not in heard.node.queues
 
@@ -141,15 +143,15 @@ def test_without_an_executor_all_samples_are_taken_after_what_was_heard_before_t
         heard.node.queues["/valve/coil"].put(coil)
     heard.node.queues["/valve/coil_current"].put(Float64(data=0.25))
     assert heard.inputs.inbox.deliver()
-    unstamped = ("coil", 77, 0.25)
-    assert [taken[:3] for taken in heard.taken if taken[:3] != unstamped] == [
-        ("outlet", 1, 2e6),
-        ("command", 77, 9.0),
-        *(("position", stamp, 0.0) for stamp in (5, 6, 7)),
-        *(("coil", stamp, 0.5) for stamp in (8, 9)),
+    unstamped = ("coil", "/valve/coil", 77, 0.25)
+    assert [taken[:4] for taken in heard.taken if taken[:4] != unstamped] == [
+        ("outlet_pressure", "outlet_pressure", 1, 2e6),
+        ("command", "/valve/coil_voltage", 77, 9.0),
+        *(("position", "/valve/joint_states", stamp, 0.0) for stamp in (5, 6, 7)),
+        *(("coil", "/valve/coil", stamp, 0.5) for stamp in (8, 9)),
     ]
     assert "/valve/coil_current" not in heard.node.queues, "the stamped one is heard in its place"
     heard.put_sample(stamp=10)
     assert heard.inputs.inbox.deliver()
-    assert heard.taken[-1][:2] == ("position", 10)
+    assert heard.taken[-1][:3] == ("position", "/valve/joint_states", 10)
     assert not heard.inputs.inbox.deliver()

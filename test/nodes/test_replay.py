@@ -61,11 +61,9 @@ class Notes:
     def prepare(self) -> None:
         assert not self.played
 
-    def command(self, index: int) -> None:
-        self.played.append((self.clock.now, "command", index))
-
-    def sample(self, index: int) -> None:
-        self.played.append((self.clock.now, "sample", index))
+    def play(self, place: int) -> None:
+        kind, index = ("command", -1 - place) if place < 0 else ("sample", place)
+        self.played.append((self.clock.now, kind, index))
 
     def end(self) -> None:
         self.ends += 1
@@ -76,7 +74,9 @@ class Notes:
 
 def play(clock: FakeClock, rate: float) -> tuple[Replay, Notes]:
     notes = Notes(clock)
-    replay = Replay(clock, TRACE, rate=rate, loop=False, player=notes)
+    replay = Replay(
+        clock, TRACE, rate=rate, loop=False, prepare=notes.prepare, play=notes.play, end=notes.end, fail=notes.fail
+    )
     replay.run()
     assert notes.ends == 1
     assert notes.failures == []
@@ -85,7 +85,7 @@ def play(clock: FakeClock, rate: float) -> tuple[Replay, Notes]:
 
 
 def test_a_command_comes_before_the_sample_of_its_time() -> None:
-    places = timeline(TRACE, 1.0).places.tolist()
+    places = timeline(TRACE, 1.0)[1].tolist()
     assert places[:2] == [-1, 0]
     assert places.index(-2) == places.index(20) + 1 == places.index(21) - 1
 
@@ -135,7 +135,7 @@ def test_a_recording_of_the_current_alone_is_replayed_and_fitted(tmp_path: Path)
     )
     write_bag(tmp_path / "coil.mcap", written)
     trace = read_recording(IdentificationSettings(str(tmp_path / "coil.mcap")), declared)
-    assert sorted(timeline(trace, 1.0).places.tolist()) == [-2, -1, *range(300)]
+    assert sorted(timeline(trace, 1.0)[1].tolist()) == [-2, -1, *range(300)]
     sample = measured_reading(trace, 100)
     assert (sample.time, sample.coil_current) == (trace.sample_times[100], pytest.approx(current[100], abs=1e-6))
     assert np.isnan(sample.pilot_position)

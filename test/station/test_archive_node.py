@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import signal
 import sqlite3
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
 import pytest
-from nodes.ros import LATCHED, DiagnosticArray, DiagnosticStatus, KeyValue, String, Trigger
+from nodes.ros import LATCHED, DiagnosticArray, DiagnosticStatus, KeyValue, Trigger
 from nodes.ros_process import Probe, ended, own_lines, piped
 
 from valve_sim.model import ValveError
@@ -24,7 +23,7 @@ START = datetime(2026, 11, 30, tzinfo=timezone.utc)
 
 
 def stroke(number: int) -> Report:
-    report = stroke_report(json.dumps({**STROKE, "stroke": number}))
+    report = stroke_report("watching", {**STROKE, "stroke": str(number)})
     return report._replace(valve=VALVE, time=START + timedelta(minutes=number))
 
 
@@ -36,7 +35,7 @@ def status(group: str, level: int, message: str, seconds: float) -> Report:
 def test_each_thing_is_kept_once(tmp_path: Path) -> None:
     archive = Archive(tmp_path, is_written=True)
     keeper = Keeper(archive)
-    for report in (stroke_report(json.dumps(STROKE)), *[finding_report(SUMMARY, FINDING)] * 3):
+    for report in (stroke_report("watching", STROKE), *[finding_report(SUMMARY, FINDING)] * 3):
         keeper.take(report)
     for seconds, (level, message) in enumerate([(0, "fine"), (1, "changed"), (1, "changed: friction"), (0, "fine")]):
         keeper.take(status("Health", level, message, seconds))
@@ -85,10 +84,15 @@ def test_rows_wait_while_the_archive_cannot_be_written(tmp_path: Path) -> None:
     assert [row["number"] for row in archive.read("strokes", VALVE)] == [0, 1, 2]
 
 
+def message_of(values: dict[str, str], words: str = "") -> DiagnosticArray:
+    """A message of a monitor."""
+    entries = [KeyValue(key=key, value=value) for key, value in values.items()]
+    return DiagnosticArray(status=[DiagnosticStatus(message=words, values=entries)])
+
+
 @pytest.mark.ros
 def test_what_a_monitor_said_is_read_after_the_node_has_gone(probe: Probe, tmp_path: Path) -> None:
-    entries = [KeyValue(key=key, value=value) for key, value in FINDING.items()]
-    strokes = probe.talker("/monitor/stroke_report", String)
+    strokes = probe.talker("/monitor/stroke_report", DiagnosticArray)
     finding = probe.talker("/monitor/finding", DiagnosticArray, LATCHED)
     answers = probe.talker("/opcua/alarms", DiagnosticArray)
     answer = {"valve": "/valve", "user": "Bob", "comment": "seen"}
@@ -100,13 +104,13 @@ def test_what_a_monitor_said_is_read_after_the_node_has_gone(probe: Probe, tmp_p
     with piped(tmp_path, program) as process:
         talkers = (strokes, finding, answers)
         assert probe.until(lambda: all(talker.get_subscription_count() for talker in talkers))
-        for text in BROKEN:
-            strokes.publish(String(data=text))
+        for found in BROKEN:
+            strokes.publish(message_of(found))
             probe.spin_for(0.1)
         probe.spin_for(1.0)
         for number in range(3):
-            strokes.publish(String(data=json.dumps({**STROKE, "stroke": number})))
-        finding.publish(DiagnosticArray(status=[DiagnosticStatus(message=SUMMARY, values=entries)]))
+            strokes.publish(message_of({**STROKE, "stroke": str(number)}))
+        finding.publish(message_of(FINDING, SUMMARY))
         answers.publish(DiagnosticArray(status=[of_another, answered]))
         probe.spin_for(2.0)  # all are in the node's queues; the next look takes them
         answer = probe.call("serviced", Trigger)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-import json
 import signal
 from concurrent.futures import ThreadPoolExecutor
 from datetime import datetime, timezone
@@ -34,15 +33,17 @@ def node(folder: Path) -> tuple[str, ...]:
 
 @pytest.mark.ros
 def test_what_is_said_on_topics_is_read_and_methods_call_services(probe: Probe, tmp_path: Path) -> None:
-    from nodes.ros import LATCHED, Bool, DiagnosticArray, DiagnosticStatus, Float64, KeyValue, String, Trigger
+    from nodes.ros import LATCHED, Bool, DiagnosticArray, DiagnosticStatus, Float64, KeyValue, Trigger
 
     from .clients import Identity
 
-    entries = [KeyValue(key=key, value=value) for key, value in FINDING.items()]
-    broken = iter(BROKEN)
-    finding = DiagnosticArray(status=[DiagnosticStatus(message=SUMMARY, values=entries)])
+    def told(values: dict[str, str], words: str = "") -> DiagnosticArray:
+        entries = [KeyValue(key=key, value=value) for key, value in values.items()]
+        return DiagnosticArray(status=[DiagnosticStatus(message=words, values=entries)])
+
+    broken, finding = iter(BROKEN), told(FINDING, SUMMARY)
     talkers = [
-        (probe.talker("/monitor/stroke_report", String), String(data=json.dumps(STROKE))),
+        (probe.talker("/monitor/stroke_report", DiagnosticArray), told(STROKE)),
         (probe.talker("/monitor/finding", DiagnosticArray, LATCHED), finding),
         (probe.talker("is_open", Bool, LATCHED), Bool(data=True)),
         (probe.talker("coil_current", Float64), Float64(data=0.75)),
@@ -64,8 +65,8 @@ def test_what_is_said_on_topics_is_read_and_methods_call_services(probe: Probe, 
     identity, port = Identity(tmp_path / "client").trusted_by(tmp_path / "server"), free_port()
 
     def publish() -> None:
-        for text in itertools.islice(broken, 5):
-            talkers[0][0].publish(String(data=text))
+        for found in itertools.islice(broken, 5):
+            talkers[0][0].publish(told(found))
         for talker, message in talkers:
             talker.publish(message)
 

@@ -90,9 +90,8 @@ def diagnose(
     from valve_sim.identification.diagnosis.run import diagnose as diagnose_valve
     from valve_sim.identification.diagnosis.run import diagnose_plant
     from valve_sim.identification.fit.budget import Budget
-    from valve_sim.identification.reporting.diagnosis_json import to_json
+    from valve_sim.identification.reporting.diagnosis import diagnosis_document
     from valve_sim.identification.reporting.files import FILES, write_diagnosis
-    from valve_sim.identification.reporting.text import diagnosis_text
 
     planned = [*(output / file for file in FILES), *([] if plot is None else [plot])]
     refuse_unwritable(*planned)
@@ -105,7 +104,8 @@ def diagnose(
         work = partial(diagnose_valve, traces, held_out, valve)
     with progress_bar() as progress:
         result = work(progress, Budget.of_seconds(budget))
-    report = to_json(result)
+    document = diagnosis_document(result)
+    report = document.to_json()
     origin = provenance(params, [report["verdict"]["summary"]])
     written = write_diagnosis(result, output, origin, plot, report=report, options=typed_options(params, name))
-    print_report(report, diagnosis_text(result), written, as_json)
+    print_report(report, document.to_text(), written, as_json)

@@ -58,17 +58,18 @@ def fit_force(
     from valve_sim.files.recording_map import load_force_map
     from valve_sim.files.whole_files import write_whole
     from valve_sim.identification.fit.static_force import fit_static_force
-    from valve_sim.identification.reporting.figures import plot_static_force
+    from valve_sim.identification.reporting.figures import save_plots
     from valve_sim.identification.reporting.findings import remarks
-    from valve_sim.identification.reporting.identification import static_force_json, static_force_text
+    from valve_sim.identification.reporting.identification import static_force_document
 
     map_file = chosen_map_file()
     sources = None if map_file is None else load_force_map(map_file)
     valve = declared_valve(params)
     result = fit_static_force(file, valve, sources, degree=degree, voltage=voltage, constant=not no_constant)
     report, picture, parameters = (output / f for f in ("fit-force.json", "fit-force.png", "attraction.yaml"))
-    write_whole(report, json_text(static_force_json(result)))
-    plot_static_force(picture, result)
+    document = static_force_document(result)
+    write_whole(report, json_text(document.to_json()))
+    save_plots(document, picture)
     notes = ["attraction_polynomial: fitted", *remarks(result.findings)]
     save_valve(parameters, result.valve, provenance(params, notes))
-    print_report(static_force_json(result), static_force_text(result), (report, picture, parameters), as_json)
+    print_report(document.to_json(), document.to_text(), (report, picture, parameters), as_json)

@@ -66,7 +66,7 @@ def identify(
     from valve_sim.identification.diagnosis.identify import identify as identify_valve
     from valve_sim.identification.diagnosis.identify import identify_plant
     from valve_sim.identification.reporting.files import IDENTIFIED, write_identification
-    from valve_sim.identification.reporting.identification import identification_json, identification_text
+    from valve_sim.identification.reporting.identification import identification_document
 
     free = ",".join(freed) if freed else None
     params = chosen_params(plant, params)
@@ -82,6 +82,7 @@ def identify(
         work = partial(identify_valve, read_recordings(bags, name, valve), valve, names)
     with progress_bar() as progress:
         result = work(progress)
-    report = identification_json(result)
+    document = identification_document(result)
+    report = document.to_json()
     written = write_identification(result, output, provenance(params, []), report=report)
-    print_report(report, identification_text(result), written, as_json)
+    print_report(report, document.to_text(), written, as_json)

@@ -116,17 +116,16 @@ def _state(trace: Trace, params: Path | None, name: str | None) -> RecordingStat
 
 
 def _as_json(summary: TraceSummary, arrivals: Sequence[StrokeEvents], state: RecordingState | None) -> dict[str, Any]:
-    from valve_sim.identification.reporting.recording_state import state_json
+    from valve_sim.identification.reporting.recording_state import recording_document
 
-    found = {**plain(summary), "arrivals": plain(arrivals)}
-    return found if state is None else {**found, "state": state_json(state)}
+    told = {**plain(summary), "arrivals": plain(arrivals)}
+    return told if state is None else {**told, "state": recording_document(state).to_json()}
 
 
 def _print_state(state: RecordingState) -> None:
-    from valve_sim.identification.reporting.recording_state import state_lines
+    from valve_sim.identification.reporting.recording_state import recording_document
 
-    for line in state_lines(state):
-        click.echo(shown(line))
+    click.echo(shown(recording_document(state).to_text()))
 
 
 def _judged_words(summary: TraceSummary) -> str:

@@ -106,7 +106,7 @@ def validate(
     if plot is not None and len(bags) > 1:
         raise click.UsageError("--plot draws one recording; give one BAG", click.get_current_context())
     from valve_sim.files.whole_files import refuse_unwritable, write_whole
-    from valve_sim.identification.reporting.validation import validation_json, validation_junit, validation_text
+    from valve_sim.identification.reporting.validation import validation_document
     from valve_sim.identification.validation.own_plant import validate_plant
     from valve_sim.identification.validation.replay import validate as replay
 
@@ -123,11 +123,12 @@ def validate(
                 current_tolerance=None if tolerance_ma is None else 1e-3 * tolerance_ma,
                 pressure_tolerance=None if tolerance_kpa is None else 1e3 * tolerance_kpa, progress=progress,
             )  # fmt: skip
+    document = validation_document(result)
     if junit is not None:
-        write_whole(junit, shown(validation_junit(result)))  # XML has no place for control characters
+        write_whole(junit, shown(document.to_junit()))  # XML has no place for control characters
     if plot is not None:
-        from valve_sim.identification.reporting.figures import plot_replay
+        from valve_sim.identification.reporting.figures import save_plots
 
-        plot_replay(plot, result.replays[0])
-    print_report(validation_json(result), validation_text(result), [path for path in (junit, plot) if path], as_json)
+        save_plots(document, plot)
+    print_report(document.to_json(), document.to_text(), [path for path in (junit, plot) if path], as_json)
     return 0 if result.passed else OUTSIDE

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
@@ -12,22 +11,20 @@ from typing import Any, Final
 from urllib.parse import quote
 
 import numpy as np
-from jinja2 import ChoiceLoader, Environment, PackageLoader
 
 from valve_sim import __version__
-from valve_sim.files.whole_files import write_whole
 from valve_sim.fleet.columns import BEFORE
 from valve_sim.fleet.trends import FALSE_ALARMS, FEWEST, Drift, Series, drifts, effects_of, series_of
 from valve_sim.fleet.units import EXAMINED, Row
 from valve_sim.identification.plants.effect_titles import named
+from valve_sim.identification.reporting import document as doc
+from valve_sim.identification.reporting.page import write_page as write_document
 from valve_sim.identification.reporting.units import quantity, readable
 
 FOLLOWED: Final = tuple(
     f"{name}{BEFORE}" for name in ("opening_delay", "t1", "t2", "closing_time", "pilot_damping", "main_damping")
 )
 """Quantities that are drawn of every valve; beside these, what drifts and what effects were named."""
-DIGITS: Final = 5
-"""Significant digits of what is drawn."""
 MOST_DRAWN: Final = 400
 """Points of one plot: of more bags as many are drawn, evenly."""
 MOST_LISTED: Final = 5000
@@ -40,6 +37,29 @@ _VERDICTS: Final = {
 }  # fmt: skip
 
 
+MADE: Final = (
+    ("Numbers", "They are in fleet.parquet, beside this page."),
+    (
+        "Each bag",
+        "The declared valve is refitted within its tolerances and what it leaves is tested; where something is left, "
+        "the missing effect is searched for.",
+    ),
+    (
+        "Trends",
+        "Of the declared valve as it was refitted to each bag, whatever else acts: times are at its reference "
+        "voltage from rest, so that bags of any strokes compare. Sizes of effects are shown where one was named, and "
+        "not tested.",
+    ),
+    (
+        "Drift",
+        "A robust test of the slope over the order of the bags in each of {} series of values, of valves with {} bags "
+        "or more; corrected for all of them together (Holm): where nothing drifts, the probability that any valve is "
+        "named is at most {:g} %. Lines are Theil and Sen's.",
+    ),
+)
+"""How the page was made."""
+
+
 def write_page(rows: Sequence[Row], path: Path) -> list[str]:
     """Write the page of these rows, whole or not at all.
 
@@ -49,44 +69,42 @@ def write_page(rows: Sequence[Row], path: Path) -> list[str]:
     Raises:
         ValveError: it cannot be written.
     """
-    environment = Environment(
-        loader=ChoiceLoader([PackageLoader("valve_sim.fleet"), PackageLoader("valve_sim.identification.reporting")]),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    shown = content(rows)
-    write_whole(path, environment.get_template("fleet.html.j2").render(shown))
-    return [f"{valve['name']}: {valve['drifts'][0]}" for valve in shown["valves"] if valve["drifts"]]
+    document, drifting = fleet_document(rows)
+    write_document(document, path)
+    return drifting
 
 
-def content(rows: Sequence[Row]) -> dict[str, Any]:
-    """The template's variables."""
+def fleet_document(rows: Sequence[Row]) -> tuple[doc.Document, list[str]]:
+    """The page of a fleet, and the valves that drift, in words."""
     series, effects = series_of(rows), effects_of(rows)
-    found: dict[str, list[Drift]] = defaultdict(list)
+    drifting: dict[str, list[Drift]] = defaultdict(list)
     for drift in drifts(series):
-        found[drift.valve].append(drift)
+        drifting[drift.valve].append(drift)
     by_valve: dict[str, list[Row]] = defaultdict(list)
     for row in rows:
         if row["state"] == EXAMINED:
             by_valve[row["valve"]].append(row)
-    valves = [_valve(name, by_valve[name], (series[name], effects[name]), found.get(name, [])) for name in by_valve]
-    valves.sort(key=lambda valve: valve["order"])
-    refused = [row for row in rows if row["state"] != EXAMINED]
-    return {
-        "headline": _headline(len(found), len(by_valve), len(refused)),
-        "is_sure": not found,
-        "counts": _counts(rows),
-        "valves": valves,
-        "refused": [_refused(row) for row in sorted(refused, key=lambda row: row["source"])[:MOST_LISTED]],
-        "more_refused": max(0, len(refused) - MOST_LISTED),
-        "false_alarms": f"{100.0 * FALSE_ALARMS:g} %",
-        "tested": sum(len(own) for own in series.values()),
-        "fewest": FEWEST,
-        "shown": FIRST_LISTED,
-        "version": __version__,
-        "data": [valve.pop("drawn") for valve in valves],
-    }
+    names = sorted(by_valve, key=lambda name: _order(name, by_valve[name], drifting.get(name, [])))
+    valves = [_valve(name, by_valve[name], (series[name], effects[name]), drifting.get(name, [])) for name in names]
+    refused = sorted((row for row in rows if row["state"] != EXAMINED), key=lambda row: str(row["source"]))
+    hint = "A row unfolds: trends with their 95 % intervals, and the report of each bag in which something is wrong."
+    shown = [
+        doc.TableRow((row["source"], row["state"], row["error"]), row["valve"] or "") for row in refused[:MOST_LISTED]
+    ]
+    more = max(0, len(refused) - MOST_LISTED)
+    also = [doc.Words(f"And {more} more, which fleet.parquet lists.", style="soft")] if more else []
+    bags = doc.Table(("bag", "state", "why"), shown)
+    made = [("Made by", f"valve_sim {__version__}")]
+    made += [(term, words.format(sum(map(len, series.values())), FEWEST, 100.0 * FALSE_ALARMS)) for term, words in MADE]
+    sections = [
+        doc.Chapter("", [doc.Words(_counts(rows), style="soft")]),
+        doc.Chapter("Valves, what is wrong first", [doc.Words(hint, style="soft"), *valves]),
+        doc.Chapter("Bags without a result, and why", [bags, *also] if refused else []),
+        doc.Chapter("How this was made", [doc.Table(("", ""), [doc.TableRow(row) for row in made])]),
+    ]
+    headline = _headline(len(drifting), len(valves), len(refused))
+    told = [f"{name}: {_drift_words(drifting[name][0])}" for name in names if drifting.get(name)]
+    return doc.Document("Fleet", sections, headline, "", "fleet", _many(len(valves), "valve"), not drifting), told
 
 
 def _headline(drifting: int, valves: int, refused: int) -> str:
@@ -108,30 +126,53 @@ def _counts(rows: Iterable[Row]) -> str:
 # --- a valve --------------------------------------------------------------------------------------------------------
 
 
+def _order(name: str, rows: Sequence[Row], drifting: Sequence[Drift]) -> tuple[Any, ...]:
+    """What drifts most surely first, then what is wrong, then by name."""
+    wrong = [row for row in rows if _is_wrong(row)]
+    newest = max(rows, key=_time)
+    digits = [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", name)]
+    p_value = min((drift.p_value for drift in drifting), default=1.0)
+    return p_value, not _is_wrong(newest), -len(wrong) / len(rows), digits
+
+
+def _time(row: Row) -> tuple[Any, ...]:
+    return row["start_time"], row["source"]
+
+
 def _valve(
-    name: str, rows: Sequence[Row], series: tuple[Sequence[Series], Sequence[Series]], found: Sequence[Drift]
-) -> dict[str, Any]:
-    """A valve's part of the template's variables; `series`: what is followed, and the effects that were named."""
-    ordered = sorted(rows, key=lambda row: (row["start_time"], row["source"]), reverse=True)
+    name: str, rows: Sequence[Row], series: tuple[Sequence[Series], Sequence[Series]], drifting: Sequence[Drift]
+) -> doc.Fold:
+    """A valve's row; `series`: what is followed, and the effects that were named."""
+    ordered = sorted(rows, key=_time, reverse=True)
     wrong = [row for row in ordered if _is_wrong(row)]
-    drifting = {drift.series.quantity.name: drift for drift in found}
-    followed = [one for one in series[0] if one.quantity.name in drifting or one.quantity.name in FOLLOWED]
-    shown = sorted([*followed, *series[1]], key=lambda one: _place(one, drifting))
-    return {
-        "name": name,
-        "bags": len(rows),
-        "drifts": [_drift_words(drift) for drift in found],
-        "state": _state(ordered),
-        "is_wrong": bool(found) or _is_wrong(ordered[0]),
-        "findings": [_finding(row) for row in wrong[:MOST_LISTED]],
-        "order": (
-            min((drift.p_value for drift in found), default=1.0),
-            not _is_wrong(ordered[0]),
-            -len(wrong) / len(rows),
-            [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", name)],
-        ),
-        "drawn": [_drawn(one, drifting.get(one.quantity.name)) for one in shown],
-    }  # fmt: skip
+    drift_of = {drift.series.quantity.name: drift for drift in drifting}
+    followed = [one for one in series[0] if one.quantity.name in drift_of or one.quantity.name in FOLLOWED]
+    drawn = sorted([*followed, *series[1]], key=lambda one: _place(one, drift_of))
+    told = [_drift_words(drift) for drift in drifting]
+    bags = doc.Table(
+        ("bag", "result"),
+        [
+            # A name in a URL's path: whatever it holds, it leads nowhere else.
+            doc.TableRow(
+                (_date(row["start_time"]), f"{_state([row])}: {row['summary']}"),
+                row["source"],
+                link=quote(row["report"] or ""),
+            )
+            for row in wrong[:MOST_LISTED]
+        ],
+        FIRST_LISTED,
+    )
+    blocks: list[doc.Block] = [doc.Items(told)] if len(told) > 1 else []
+    blocks.append(doc.Plots(lambda: [_plot(one, drift_of.get(one.quantity.name)) for one in drawn], is_small=True))
+    last = "Last bag: " if drifting or _is_wrong(ordered[0]) else ""
+    trend = doc.Spark(drawn[0].days, drawn[0].values, "time") if drawn else doc.Spark(np.empty(0), np.empty(0), "time")
+    return doc.Fold(
+        name,
+        f"Drifts: {told[0]}." if told else "",
+        f"{last}{_state(ordered)}. {_many(len(rows), 'bag')}",
+        trend,
+        [*blocks, bags] if wrong else blocks,
+    )
 
 
 def _place(series: Series, drifting: Mapping[str, Drift]) -> tuple[float, int]:
@@ -158,13 +199,13 @@ def _state(newest_first: Sequence[Row]) -> str:
 
 
 def _drift_words(drift: Drift) -> str:
-    own, change = drift.series.quantity, drift.change
+    measure, change = drift.series.quantity, drift.change
     before = float(np.median(drift.series.values[: max(1, len(drift.series.values) // 10)]))
     p_value = f"{drift.adjusted:.1g}" if drift.adjusted >= 1e-6 else "< 0.000001"
     sign = "+" if change > 0.0 else ""
     return (
-        f"{_title(own.name)} {sign}{quantity(change, own.unit)} in {np.ptp(drift.series.days):.3g} days, from "
-        f"{quantity(before, own.unit)} (p {p_value} over the fleet)"
+        f"{_title(measure.name)} {sign}{quantity(change, measure.unit)} in {np.ptp(drift.series.days):.3g} days, from "
+        f"{quantity(before, measure.unit)} (p {p_value} over the fleet)"
     )
 
 
@@ -172,42 +213,19 @@ def _title(column: str) -> str:
     return column.removesuffix(BEFORE).replace("_", " ")
 
 
-def _finding(row: Row) -> dict[str, str]:
-    return {
-        "time": _date(row["start_time"]),
-        "state": _state([row]),
-        "summary": row["summary"],
-        "source": row["source"],
-        # A name in a URL's path: whatever it holds, it leads nowhere else.
-        "report": quote(row["report"] or ""),
-    }
-
-
-def _refused(row: Row) -> dict[str, str]:
-    return {"source": row["source"], "valve": row["valve"], "state": row["state"], "error": row["error"]}
-
-
 def _date(nanoseconds: int) -> str:
     return datetime.fromtimestamp(nanoseconds / 1e9, timezone.utc).strftime("%Y-%m-%d %H:%M")
 
 
-def _drawn(series: Series, drift: Drift | None) -> dict[str, Any]:
-    """What the page's script draws: times in days after the first, values and half intervals in a readable unit."""
+def _plot(series: Series, drift: Drift | None) -> doc.Plot:
+    """Values over the days after the first, their 95 % interval, and the line of a drift, in a readable unit."""
     chosen = np.unique(np.linspace(0, len(series.values) - 1, MOST_DRAWN).astype(np.intp))
-    days, values, errors = series.days[chosen], series.values[chosen], series.errors[chosen]
+    days, values, errors = series.days[chosen] - series.days[0], series.values[chosen], series.errors[chosen]
     scale, unit = readable(series.quantity.unit, float(np.median(np.abs(values))))
-    drawn = {
-        "name": _title(series.quantity.name) + (f", {unit}" if unit else ""),
-        "from": _date(int(series.days[0] * 86400e9)),
-        "t": [_rounded(day - float(series.days[0])) for day in days.tolist()],
-        "v": [_rounded(scale * value) for value in values.tolist()],
-        "e": [_rounded(1.96 * scale * error) if math.isfinite(error) else None for error in errors.tolist()],
-    }
+    curves = [doc.Line("after", scale * values, has_dots=True)]
     if drift is not None:
-        middle = float(np.median(values - drift.slope * (days - days[0])))
-        drawn["line"] = [_rounded(scale * middle), _rounded(scale * (middle + drift.change))]
-    return drawn
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.{DIGITS}g}")
+        curves.append(doc.Line("before", scale * (np.median(values - drift.slope * days) + drift.slope * days)))
+    name, half = _title(series.quantity.name), 1.96 * errors
+    label = f"{name}, {unit}" if unit else name
+    panel = doc.Panel(label, curves, scale * (values - half), scale * (values + half))
+    return doc.Plot(name, "", days, f"days after {_date(int(series.days[0] * 86400e9))}", [panel])

@@ -15,7 +15,7 @@ from valve_sim.identification.fit.residual_tests import adequacy
 from valve_sim.identification.fit.result import Fit, rmse
 from valve_sim.identification.plants.protocol import Plant
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.reporting.summary import summarise
+from valve_sim.identification.reporting.claims import summarise
 from valve_sim.model import Valve
 from valve_sim.traces import Trace, left_out_finding, stroke_starts
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Final
 
-from valve_sim.nodes import quiet_start  # noqa: F401 -- first, for its effect
+from valve_sim.nodes import ending  # noqa: F401 -- first, for its effect
 from valve_sim.nodes.starting import Program, chosen
 
 valve_node: Final = Program(
     "valve_node",
-    "valve_sim.nodes.machines:valve_node",
+    "valve_sim.nodes.valve:valve_node",
     """
     valve_node simulates a valve in real time on ROS 2 topics.
 

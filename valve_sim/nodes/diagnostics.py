@@ -90,9 +90,7 @@ class RejectionCount:
         return ""
 
 
-def command_status(
-    live: LiveMachine[Any, Any], now: int, count: RejectionCount, incompatible_publishers: int
-) -> Status:
+def command_status(live: LiveMachine[Any], now: int, count: RejectionCount, incompatible_publishers: int) -> Status:
     """Whether commands arrive and are accepted; `now`, ns, of the clock of the valve."""
     age = math.nan if live.last_command is None else (now - live.last_command) / NANOSECONDS
     values = {
@@ -125,7 +123,7 @@ def _status(task: str, trouble: str, otherwise: str, values: dict[str, str]) -> 
     return Status(task, Level.WARN if trouble else Level.OK, trouble or otherwise, values)
 
 
-def valve_status(live: LiveMachine[Any, Any], failure: str) -> Status:
+def valve_status(live: LiveMachine[Any], failure: str) -> Status:
     """The phase of the valve, and why it was put back to rest last (`failure`, empty if it never was)."""
     values = {**live.facts(), "failures": str(live.failures)}
     if failure:

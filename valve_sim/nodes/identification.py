@@ -1,6 +1,6 @@
 """The node `identification`: a recording, a replay and a task wired to topics. No physics, no fitting.
 
-Threads: callbacks run in the main thread. A `Replay` thread publishes what is due, a `Task` thread refits, publishes
+Threads: a `Replay` thread publishes what is due, a `Task` thread refits, publishes
 the result and hands it on.
 """
 
@@ -8,17 +8,14 @@ from __future__ import annotations
 
 import contextlib
 import queue
-import threading
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
-from rclpy.task import Future
 from std_msgs.msg import Float64, String
 
 from valve_sim.files.parameter_files import default_valve, load_recorded_valve
@@ -82,21 +79,21 @@ class IdentificationNode(RosNode[IdentificationSettings]):
         self._trace = read_recording(self._settings, self._declared)
         self._voltages = measured_voltages(self._trace)
         self._remote = RemoteParameters(self._node, target) if target else None
-        self._before: Values = {}
         self._prediction: Prediction | None = None
         self._refusal = ""
-        self._task = Task(self._work, self._report)
-        rate, loop = self._settings.rate, self._settings.loop
-        self._replay = Replay(self._clock, self._trace, rate=rate, loop=loop, player=self)
+        self._task = Task(self._fit, self._report)
+        self._replay = Replay(
+            self._clock, self._trace, rate=self._settings.rate, loop=self._settings.loop, prepare=self._prepare,
+            play=self._play, end=self._end, fail=self._fail,
+        )  # fmt: skip
         self._threads += (self._replay, self._task)
         self._wire()
 
-    def spin(self) -> None:
-        """Replay, refit and answer until ROS is shut down."""
+    def _work(self) -> None:
         for finding in self._trace.findings:
             self._node.get_logger().warning(finding)
         self._replay.start()
-        super().spin()
+        super()._work()
 
     # --- wiring ---
 
@@ -111,18 +108,12 @@ class IdentificationNode(RosNode[IdentificationSettings]):
         self._result = interface.publisher("~/result")
         self._messages = ReadingMessages("")
         self._publish_diagnostics(self._statuses)
-        # A callback group of its own: while it waits for the valve, the reply needs the other group.
-        interface.serve("~/undo", self._undo, MutuallyExclusiveCallbackGroup())
 
     # --- the replay's thread ---
 
-    def prepare(self) -> None:
+    def _prepare(self) -> None:
         """Simulate the declared valve, and log what is about to be played."""
         self._prediction = predict(self._trace, self._declared, 0.0, "declared")
-        self._say_ready()
-        self._task.start()
-
-    def _say_ready(self) -> None:
         own = self._settings
         what = f"refits {', '.join(freed(own, self._declared))}" if own.mode == "identify" else "diagnoses it"
         topic = (self._measured if self._trace.has_positions else self._measured_coil).topic_name
@@ -130,33 +121,29 @@ class IdentificationNode(RosNode[IdentificationSettings]):
             f"ready: replays {own.bag} on {topic} beside the model, {what}; the result comes on "
             f"{self._result.topic_name} and in {self._folder.resolve()}"
         )
+        self._task.start()
 
-    def command(self, index: int) -> None:
-        """Publish one command of the recording."""
-        self._voltage.publish(Float64(data=float(self._trace.drive.volts[index])))
-
-    def sample(self, index: int) -> None:
-        """Publish one sample of the recording, the prediction, and the residual."""
+    def _play(self, place: int) -> None:
+        """Publish one command of the recording, or one sample, the prediction, and the residual."""
+        if place < 0:
+            self._voltage.publish(Float64(data=float(self._trace.drive.volts[-1 - place])))
+            return
         assert self._prediction is not None
-        measured, predicted = measured_reading(self._trace, index), self._prediction.reading(index)
+        measured, predicted = measured_reading(self._trace, place), self._prediction.reading(place)
         stamp = self._trace.epoch_ns + round(measured.time * 1e9)
         self._predicted.publish(self._messages.joint_states(stamp, predicted))
         if self._trace.has_positions:
             self._measured.publish(self._messages.joint_states(stamp, measured))
             self._residual.publish(Float64(data=measured.pilot_position - predicted.pilot_position))
             return
-        volts = float(self._voltages[index])
+        volts = float(self._voltages[place])
         self._measured_coil.publish(self._messages.coil(stamp, measured.coil_current, volts))
         self._predicted_coil.publish(self._messages.coil(stamp, predicted.coil_current, volts))
         self._residual.publish(Float64(data=measured.coil_current - predicted.coil_current))
 
-    def fail(self, error: Exception) -> None:
-        """End the node because the replay failed."""
-        self._fail(error)
-
     # --- the task's thread ---
 
-    def _work(self, progress: Progress) -> str:
+    def _fit(self, progress: Progress) -> str:
         outcome = fit_or_diagnose(self._trace, self._declared, self._settings, self._folder, progress)
         self._prediction = predict(self._trace, outcome.valve, outcome.clock_offset, self._settings.mode)
         applied = None if self._remote is None else self._apply(outcome, self._remote)
@@ -178,14 +165,14 @@ class IdentificationNode(RosNode[IdentificationSettings]):
             logger = self._node.get_logger()
             if words != self._refusal:
                 (logger.info if is_good else logger.error)(words)
-            self.end()
+            self._end()
 
-    def end(self) -> None:
-        """Called at the end of the replay and of the task; the second call ends the node."""
+    def _end(self) -> None:
+        """At the end of the replay and of the task; the second call ends the node."""
         is_done = self._replay.is_done and self._task.is_done
         if is_done and not self._settings.linger and self._node.context.ok():
             self._result.wait_for_all_acked(_DELIVERY)
-            self._node.context.try_shutdown()
+            self.stop.ask("all is done")
 
     def _apply(self, outcome: Outcome, remote: RemoteParameters) -> Applied:
         """Set what the recording determines, all of it at once or nothing; keep what the valve had."""
@@ -199,7 +186,6 @@ class IdentificationNode(RosNode[IdentificationSettings]):
             remote.set(new)
         except ParameterError as error:
             return Applied(remote.name, False, str(error))
-        self._before = {name: old[name] for name, value in new.items() if old[name] != value}
         if outcome.objection:
             logger.warning(f"{remote.name} is given the result although {outcome.objection} (apply_always)")
         lines = change_lines(old, new, outcome.intervals)
@@ -209,37 +195,10 @@ class IdentificationNode(RosNode[IdentificationSettings]):
             logger.info(
                 f"{remote.name}: as declared, because the recording does not determine it: {', '.join(outcome.held)}"
             )
-        logger.info(
-            f"undo: `ros2 param load {remote.name} {(self._folder / BEFORE_FILE).resolve()}`, or, while this node "
-            f"runs (linger:=true), its service ~/undo"
-        )
+        logger.info(f"undo: `ros2 param load {remote.name} {(self._folder / BEFORE_FILE).resolve()}`")
         return Applied(remote.name, True, changes=lines)
 
-    # --- callbacks, in the main thread ---
-
-    async def _undo(self) -> Any:
-        """Set the valve's former values; a thread waits for the reply, which this one must be free to receive."""
-        taken_back: Future = Future()
-
-        def take_back() -> None:
-            taken_back.set_result(self._take_back())
-            if self._node.executor is not None:
-                self._node.executor.wake()
-
-        threading.Thread(target=take_back, name="undo", daemon=True).start()
-        return await taken_back
-
-    def _take_back(self) -> tuple[bool, str]:
-        if self._remote is None or not self._before:
-            return False, "nothing was set that could be taken back"
-        try:
-            self._remote.set(self._before)
-        except ParameterError as error:
-            return False, str(error)
-        words = f"{self._remote.name} has its own values again: {', '.join(self._before)}"
-        self._node.get_logger().info(words)
-        self._before = {}
-        return True, words
+    # --- callbacks ---
 
     def _statuses(self) -> Sequence[Status]:
         model = "none yet" if self._prediction is None else self._prediction.model

@@ -6,13 +6,14 @@ follow the files and the report.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import shlex
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +27,7 @@ from valve_sim.identification.fit.findings import leaves_more_than_noise
 from valve_sim.identification.fit.intervals import Interval
 from valve_sim.identification.plants.valve import DAMPINGS, dampings_of
 from valve_sim.identification.plants.valve_sensors import response_to
-from valve_sim.identification.reporting.identification import identification_json
+from valve_sim.identification.reporting.identification import identification_document
 from valve_sim.identification.reporting.units import measured
 from valve_sim.model import Phase, Reading, Response, Valve
 from valve_sim.model.errors import ValveError
@@ -40,7 +41,7 @@ from valve_sim.nodes.realtime import (
     when_due,
 )
 from valve_sim.nodes.settings import IdentificationSettings
-from valve_sim.nodes.threads import StoppableThread
+from valve_sim.nodes.threads import Fail, StoppableThread
 from valve_sim.traces import Trace, another_valve, left_out_finding, read_trace, refuse_doubtful_units
 
 LATE_SECONDS: Final = 0.01
@@ -61,51 +62,20 @@ class Prediction(NamedTuple):
 
     def reading(self, index: int) -> Reading:
         """The reading at one sample; the main plunger's force is not given (NaN)."""
-        shown, phase = self.response, Phase(int(self.response.phase[index]))
-        velocity = float(shown.pilot_velocity[index])
-        return Reading(
-            float(shown.time[index]),
-            float(shown.pilot_position[index]),
-            float(shown.main_position[index]),
-            velocity,
-            velocity if phase is Phase.MAIN else 0.0,
-            float(shown.coil_current[index]),
-            float(shown.attraction[index]),
-            _UNKNOWN,
-            phase,
-            (),
+        own = self.response
+        columns = (
+            own.time,
+            own.pilot_position,
+            own.main_position,
+            own.pilot_velocity,
+            own.coil_current,
+            own.attraction,
         )
-
-
-class Timeline(NamedTuple):
-    """A trace in the order of its replay.
-
-    Attributes:
-        offsets: (k + n,) ns after the replay's start, ascending.
-        places: (k + n,) index of a sample, or −1 − index of a command.
-    """
-
-    offsets: NDArray[np.int64]
-    places: NDArray[np.int64]
-
-
-class Player(Protocol):
-    """Receives what is replayed; called from the replay's thread."""
-
-    def prepare(self) -> None:
-        """Called before the replay begins."""
-
-    def command(self, index: int) -> None:
-        """One command of the trace."""
-
-    def sample(self, index: int) -> None:
-        """One sample of the trace."""
-
-    def end(self) -> None:
-        """Called when all has been replayed."""
-
-    def fail(self, error: Exception) -> None:
-        """Called when the replay failed and has ended."""
+        time, pilot, main, velocity, current, attraction = (float(column[index]) for column in columns)
+        phase = Phase(int(own.phase[index]))
+        moves = velocity if phase is Phase.MAIN else 0.0
+        current = float(own.coil_current[index])
+        return Reading(time, pilot, main, velocity, moves, current, attraction, _UNKNOWN, phase, ())
 
 
 def predict(trace: Trace, valve: Valve, clock_offset: float, model: str) -> Prediction:
@@ -137,35 +107,39 @@ def measured_voltages(trace: Trace) -> NDArray[np.float64]:
     return shown
 
 
-def timeline(trace: Trace, rate: float) -> Timeline:
-    """When each command and sample is due; a command precedes a sample of equal time. At rate 0, all at once."""
+def timeline(trace: Trace, rate: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """When each command and sample is due, in order; a command precedes a sample of equal time.
+
+    Returns:
+        (k + n,) ns after the start, all 0 at rate 0; and (k + n,) index of a sample, or −1 − that of a command.
+    """
     times = np.concatenate([trace.drive.times, trace.sample_times])
     commands = len(trace.drive.times)
     places = np.concatenate([-1 - np.arange(commands), np.arange(len(trace.sample_times))])
     order = np.argsort(times, kind="stable")
     elapsed = times[order] - times[order[0]]
     offsets = np.rint(elapsed * (NANOSECONDS / rate)) if rate > 0.0 else np.zeros(len(elapsed))
-    return Timeline(offsets.astype(np.int64), places[order])
+    return offsets.astype(np.int64), places[order]
 
 
 class Replay(StoppableThread):
     """A thread that replays a trace by absolute deadlines: nothing is left out, and lateness does not accumulate.
 
     After a jump of the clock it begins anew. `rate` is in seconds of the trace a second of the clock, 0 for as fast as
-    possible.
+    possible. `prepare` is called first, in the thread; `play` with each place of `timeline`; `end` when all is played.
     """
 
-    def __init__(self, clock: PaceClock, trace: Trace, *, rate: float, loop: bool, player: Player) -> None:
-        super().__init__("replay", self._replay, player.fail)
+    def __init__(
+        self, clock: PaceClock, trace: Trace, *, rate: float, loop: bool, prepare: Callable[[], None],
+        play: Callable[[int], None], end: Callable[[], None], fail: Fail,
+    ) -> None:  # fmt: skip
+        super().__init__("replay", self._replay, fail)
         self.timing = TimingRecord()
         self.passes = 0
         self.played = 0
         self.is_done = False
-        self._clock = clock
-        self._timeline = timeline(trace, rate)
-        self._rate = rate
-        self._loop = loop
-        self._player = player
+        self._clock, self._loop, self._prepare, self._play, self._end = clock, loop, prepare, play, end
+        self._offsets, self._places = (found.tolist() for found in timeline(trace, rate))
         span = float(trace.sample_times[-1] - trace.sample_times[0])
         self.samples_a_second = rate * (len(trace.sample_times) - 1) / span if span > 0.0 else 0.0
         self._period = NANOSECONDS / self.samples_a_second if self.samples_a_second > 0.0 else math.inf
@@ -173,38 +147,33 @@ class Replay(StoppableThread):
     @property
     def samples(self) -> int:
         """Commands and samples of one pass."""
-        return len(self._timeline.offsets)
+        return len(self._offsets)
 
     def wake(self) -> None:
         """Interrupt the wait for the next sample."""
         self._clock.wake()
 
     def _replay(self) -> None:
-        self._player.prepare()
+        self._prepare()
         self._stopping.wait(LISTENERS_SECONDS)
         while not self.is_stopping:
-            is_whole = self._play()
+            is_whole = self._play_once()
             self.passes += is_whole
             if is_whole and not self._loop:
                 break
         self.is_done = not self.is_stopping
         if self.is_done:
-            self._player.end()
+            self._end()
 
-    def _play(self) -> bool:
+    def _play_once(self) -> bool:
         """Replay once; False if broken off because the clock jumped or the thread is to end."""
         self.played = 0
-        try:
-            for index, late in when_due(self._clock, self._timeline.offsets.tolist(), lambda: self.is_stopping):
-                place = int(self._timeline.places[index])
-                if place < 0:
-                    self._player.command(-1 - place)
-                else:
+        with contextlib.suppress(ClockJumpedError):
+            for index, late in when_due(self._clock, self._offsets, lambda: self.is_stopping):
+                if self._places[index] >= 0:
                     self.timing.note(late, self._period)
-                    self._player.sample(place)
+                self._play(self._places[index])
                 self.played = index + 1
-        except ClockJumpedError:
-            return False
         return self.played == self.samples
 
 
@@ -310,7 +279,7 @@ def _identified(result: Identification, settings: IdentificationSettings, folder
     file = folder / IDENTIFIED_FILE
     save_valve(file, result.valve, _provenance(settings, summary))
     offset = result.fit.values["clock_offset[0]"]
-    report, handed = identification_json(result), handed_on(result.fit, result.intervals)
+    report, handed = identification_document(result).to_json(), handed_on(result.fit, result.intervals)
     objection = _objection_to(result) or handed.objection
     return Outcome(result.valve, offset, report, file, summary, result.intervals, handed.valve, handed.held, objection)
 
@@ -336,13 +305,13 @@ def _diagnosed(
     from valve_sim.identification.diagnosis.outcome import objection_to, what_is_left
     from valve_sim.identification.diagnosis.run import diagnose
     from valve_sim.identification.fit.budget import Budget
-    from valve_sim.identification.reporting.diagnosis_json import to_json
-    from valve_sim.identification.reporting.recording_profile import write_record_next
-    from valve_sim.identification.reporting.summary import summarise
+    from valve_sim.identification.reporting.claims import summarise
+    from valve_sim.identification.reporting.diagnosis import diagnosis_document
+    from valve_sim.identification.reporting.record_next import write_record_next
 
     result = diagnose([trace], [], declared, progress, Budget.of_seconds(settings.budget))
     file = folder / CORRECTED_FILE
-    summary, report = summarise(result), to_json(result)
+    summary, report = summarise(result), diagnosis_document(result).to_json()
     if result.verdict.is_corrected and (left := what_is_left(result)):
         summary += f" Beside it {left}."
     provenance = _provenance(settings, summary)

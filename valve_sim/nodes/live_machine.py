@@ -4,38 +4,20 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, TypeVar
 
 from valve_sim.model import CoilReading, SimulationError
 from valve_sim.nodes.realtime import NANOSECONDS, TimedQueue
 
 if TYPE_CHECKING:
-    from valve_sim.model import Reading
-    from valve_sim.model.machine_stepper import MachineReading
+    from valve_sim.model import Reading, Stepper
+    from valve_sim.model.machine_stepper import MachineReading, MachineStepper
 
 
-S = TypeVar("S", bound="Steps[Any]")
-R = TypeVar("R", bound="Reading | MachineReading")
-R_co = TypeVar("R_co", bound="Reading | MachineReading", covariant=True)
-
-
-class Steps(Protocol[R_co]):
-    """What steps a machine: the valve's `Stepper`, or a `MachineStepper`."""
-
-    @property
-    def volts(self) -> float:
-        """The voltage in force, V."""
-
-    def reset(self, time: float) -> None:
-        """Start anew at a time, s, without voltage."""
-
-    def command(self, time: float, volts: float) -> tuple[CoilReading, CoilReading]:
-        """A voltage in force from a time on, s; the coil just before and just after."""
-
-    def advance(self, time: float) -> R_co:
-        """Step to a time, s, and read the machine there. Raises SimulationError."""
+S = TypeVar("S", "Stepper", "MachineStepper")
+"""What steps a machine."""
 
 
 class Timeline:
@@ -93,14 +75,20 @@ class Step(NamedTuple):
     switched_off: str = ""
 
 
-class LiveMachine(ABC, Generic[S, R]):
+class LiveMachine(ABC, Generic[S]):
     """A stepper with its clock, its command and its watchdog; which command holds: docs/reference/command_safety.md.
 
-    `command`, `limit`, `set_scale`, `reset` may be called in any thread: they store, the next `step` consumes, each at
-    its own time. `restart` and `step` belong to one stepping thread.
+    `command`, `limit`, `set_scale`, `reset`, `go_on_as` may be called in any thread: they store, the next `step`
+    consumes, each at its own time. `prepare`, `restart` and `step` belong to one stepping thread.
 
     `scale` is in model seconds a second of the clock; `command_timeout` in s of the clock, 0 for never.
+
+    Attributes:
+        rests: what it does after a reset, in words. shows: channels that topics show of it, phase and is_open included.
     """
+
+    rests: ClassVar[str]
+    shows: Collection[str]
 
     def __init__(self, *, scale: float = 1.0, command_timeout: float = 0.0, max_voltage: float = math.inf) -> None:
         self.command_timeout = command_timeout
@@ -127,12 +115,40 @@ class LiveMachine(ABC, Generic[S, R]):
         """The machine at rest at model time 0, without voltage."""
 
     @abstractmethod
-    def _entered(self, reading: R) -> Sequence[int]:
+    def _entered(self, reading: Any) -> Sequence[int]:
         """The phases that began since the reading before; what else happened is noted."""
 
     @abstractmethod
     def facts(self) -> Mapping[str, str]:
         """What /diagnostics says of its state, the phase first."""
+
+    @abstractmethod
+    def go_on_as(self, clock: int, machine: Any) -> None:
+        """Continue as another machine from clock time `clock`, ns, without a jump in state."""
+
+    @abstractmethod
+    def self_test(self) -> tuple[bool, str]:
+        """Whether it works, and what was seen; the running machine is not affected."""
+
+    def prepare(self) -> None:
+        """Have every function at hand by which it is stepped."""
+        return
+
+    def warning(self) -> str:
+        """What is doubtful about its parameters; empty for nothing."""
+        return ""
+
+    def completed(self, given: dict[str, Any], present: Mapping[str, Any]) -> dict[str, Any]:
+        """Parameters that are about to be set, and others that follow from them and the present ones."""
+        return given
+
+    def pressures(self) -> Mapping[str, float]:
+        """Pressures in force at its ends, Pa; none without gas."""
+        return {}
+
+    def set_pressure(self, name: str, clock: int, pressure: float) -> bool:
+        """A pressure, Pa, from clock time `clock` on, ns; False, and nothing else, if it is not acceptable."""
+        return False
 
     @property
     def volts(self) -> float:
@@ -191,7 +207,7 @@ class LiveMachine(ABC, Generic[S, R]):
             self._requests.deliver(self._reached, clock)
             self._watch_command(clock)
             time, stamp = self._timeline.at(clock)
-            reading: R = stepper.advance(time)
+            reading: Reading | MachineReading = stepper.advance(time)
         except SimulationError as error:
             failure = str(error)
             self.failures += 1

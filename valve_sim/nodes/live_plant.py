@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Final
@@ -148,22 +147,26 @@ class PlantParameters:
         return numbers
 
 
-class LivePlant(LiveMachine[MachineStepper, MachineReading]):
-    """A live machine that is of a plant file. `set_numbers` may be called in any thread, too."""
+class LivePlant(LiveMachine[MachineStepper]):
+    """A live machine that is of a plant file."""
 
-    def __init__(
-        self, plant: NodePlant, numbers: Mapping[str, float], *, scale: float = 1.0, command_timeout: float = 0.0,
-        max_voltage: float = math.inf,
-    ) -> None:  # fmt: skip
-        super().__init__(scale=scale, command_timeout=command_timeout, max_voltage=max_voltage)
+    rests = "the machine begins anew, at 0 V"
+
+    def __init__(self, plant: NodePlant, numbers: Mapping[str, float], **options: float) -> None:
+        super().__init__(**options)
         self._plant, self._numbers = plant, numbers
+        self.shows = {*plant.channels.delays, *(("phase",) if plant.modes else ())}
         self._modes: Mapping[str, str] = {}
         self._events, self._last_event = 0, ""
 
-    def set_numbers(self, clock: int, numbers: Mapping[str, float]) -> None:
-        """Continue with other parameters, SI, from clock time `clock` on, ns; states go on."""
-        self._numbers = numbers
-        self._requests.post(clock, "numbers", partial(self._continue_with, numbers))
+    def go_on_as(self, clock: int, machine: Mapping[str, float]) -> None:
+        """Continue with other parameters, SI; states go on."""
+        self._numbers = machine
+        self._requests.post(clock, "numbers", partial(self._continue_with, machine))
+
+    def self_test(self) -> tuple[bool, str]:
+        """It has none."""
+        return False, f"a self-test is of the valve; the machine of {self._plant.file.path} has none"
 
     def facts(self) -> Mapping[str, str]:
         """The mode that is the phase, those of other regions, and events."""

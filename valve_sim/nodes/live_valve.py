@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-import math
+import contextlib
 from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from valve_sim.model import Event, EventKind, Phase, Reading, SimulationError, Stepper, Valve
 from valve_sim.model.gas import GAS
 from valve_sim.nodes.live_machine import LiveMachine
+from valve_sim.nodes.topics import ENDS
+from valve_sim.nodes.valve_parameters import without_orphans
 
 _PHASE_AFTER: Final = {
     EventKind.UNSEATED: Phase.PILOT,
@@ -30,13 +32,14 @@ _STILL_RISING: Final = 1e-6
 """Share of the tank's pressure; an outlet that changes by less within SELF_TEST_SECONDS has come to rest."""
 
 
-class LiveValve(LiveMachine[Stepper, Reading]):
-    """A live machine that is a valve. `set_valve` and `set_pressure` may be called in any thread, too."""
+class LiveValve(LiveMachine[Stepper]):
+    """A live machine that is a valve. `set_pressure` may be called in any thread, too."""
 
-    def __init__(
-        self, valve: Valve, *, scale: float = 1.0, command_timeout: float = 0.0, max_voltage: float = math.inf
-    ) -> None:
-        super().__init__(scale=scale, command_timeout=command_timeout, max_voltage=max_voltage)
+    rests = "the valve rests closed, without current"
+    shows = ("position", "main_position", "current", "phase", "is_open")
+
+    def __init__(self, valve: Valve, **options: float) -> None:
+        super().__init__(**options)
         self.strokes = 0
         self._heard: dict[str, float] = {}
         self._valve = valve
@@ -50,25 +53,45 @@ class LiveValve(LiveMachine[Stepper, Reading]):
         """The phase, and how often it has opened."""
         return {"phase": Phase(self.phase).name.lower(), "strokes": str(self.strokes)}
 
-    def pressure(self, name: str) -> float:
-        """A pressure in force, Pa, as it was heard last, or else as declared; NaN for a valve without gas."""
+    def prepare(self) -> None:
+        """Have every function at hand by which it is stepped."""
+        load_stepper(self._valve)
+
+    def self_test(self) -> tuple[bool, str]:
+        """A stroke of a copy of it."""
+        return self_test(self._valve)
+
+    def warning(self) -> str:
+        """Whether it cannot open."""
+        with contextlib.suppress(Exception):
+            if not self._valve.can_open():
+                return (
+                    f"with these parameters the valve cannot open: at {self._valve.parameters.reference_voltage:g} V "
+                    "nothing lifts the pilot plunger off its seat (look at valve.attraction_polynomial[0] and "
+                    "valve.seat_load)"
+                )
+        return ""
+
+    def completed(self, given: dict[str, Any], present: Mapping[str, Any]) -> dict[str, Any]:
+        """Drop the tolerances of effects that are switched off."""
+        return without_orphans(given, present)
+
+    def pressures(self) -> Mapping[str, float]:
+        """Pressures in force, Pa, as they were heard last, or else as declared; none for a valve without gas."""
         gas = self._valve.gas
-        return math.nan if gas is None else self._heard.get(name, getattr(gas, name))
+        return {} if gas is None else {name: self._heard.get(name, getattr(gas, name)) for name in ENDS}
 
     def set_pressure(self, name: str, clock: int, pressure: float) -> bool:
-        """A pressure, Pa, from clock time `clock` on, ns; False, and nothing else, if it is out of range.
-
-        It stays through a reset, until another is heard or declared. A valve without gas has no use for it.
-        """
+        """A pressure that stays through a reset, until another is heard or declared."""
         if not GAS[name].lower <= pressure <= GAS[name].upper:
             return False
         self._requests.post(clock, name, partial(self._apply_pressure, name, pressure))
         return True
 
-    def set_valve(self, clock: int, valve: Valve) -> None:
-        """Continue with another valve, without a jump in state."""
-        self._valve = valve
-        self._requests.post(clock, "valve", partial(self._continue_as, valve))
+    def go_on_as(self, clock: int, machine: Valve) -> None:
+        """Continue as another valve."""
+        self._valve = machine
+        self._requests.post(clock, "valve", partial(self._continue_as, machine))
 
     def _begun(self) -> Stepper:
         self._heard = {}
@@ -109,6 +132,17 @@ class LiveValve(LiveMachine[Stepper, Reading]):
         super()._rest(clock)
         for name, pressure in self._heard.items():
             self._put(name, clock, pressure)
+
+
+def load_stepper(valve: Valve) -> None:
+    """Have every function at hand that a valve is stepped by."""
+    stepper = Stepper(valve)
+    stepper.command(1e-3, valve.parameters.reference_voltage)
+    stepper.set_valve(valve, 2e-3)
+    if valve.gas is not None:
+        stepper.supply(2e-3, valve.gas.inlet_pressure)
+        stepper.set_demand_pressure(2e-3, valve.gas.demand_pressure)
+    stepper.advance(3e-3)
 
 
 class SelfTest(NamedTuple):

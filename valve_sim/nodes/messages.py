@@ -13,7 +13,6 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from sensor_msgs.msg import BatteryState, FluidPressure, JointState
 from std_msgs.msg import Bool, Float64, Header, UInt8
 
-from valve_sim.model import Phase
 from valve_sim.model.core.hybrid.layout import MOST_MODES
 from valve_sim.nodes.diagnostics import Status
 from valve_sim.nodes.heard import UnusableMessageError
@@ -24,6 +23,8 @@ if TYPE_CHECKING:
     from valve_sim.model.machine_stepper import MachineReading
 
 JOINT_NAMES: Final = ("pilot_plunger", "main_plunger")
+JOINTS_OF: Final = dict(zip(("position", "main_position"), JOINT_NAMES, strict=True))
+"""The joint that a channel of a machine is shown as."""
 _JOINTS: Final[Mapping[str, attrgetter[tuple[float, float, float]]]] = dict(
     zip(
         JOINT_NAMES,
@@ -102,7 +103,7 @@ def _single(number: float) -> float:
 
 PHASE: Final = [UInt8(data=number) for number in range(MOST_MODES)]
 """~/phase: the number of a phase, or of a mode."""
-IS_OPEN: Final = {phase: Bool(data=phase is Phase.OPEN) for phase in Phase}
+IS_OPEN: Final = (Bool(data=False), Bool(data=True))
 """~/is_open: the flow path is fully open."""
 
 

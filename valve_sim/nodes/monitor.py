@@ -1,6 +1,6 @@
 """The node `monitor`: segmenter, monitor and fault isolation wired to topics. No physics, no decisions.
 
-Threads: callbacks run in the main thread, and only store. One thread empties the inbox, where each sample is a step of
+Threads: callbacks only store. One thread empties the inbox, where each sample is a step of
 the model, some tens of microseconds; one scores strokes, another isolates the fault after an alarm; the live path waits
 for neither.
 """
@@ -8,47 +8,42 @@ for neither.
 from __future__ import annotations
 
 import contextlib
-import json
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from std_msgs.msg import Float64, String
+from std_msgs.msg import Float64
 
 from valve_sim.files.parameter_sections import Section
 from valve_sim.identification.monitoring.findings import Occasion, Prediction, StrokeRecord
 from valve_sim.identification.monitoring.memory import load_commissioning, save_commissioning
 from valve_sim.identification.monitoring.scores import Baseline
-from valve_sim.identification.monitoring.segmenter import StrokeSegmenter
 from valve_sim.identification.monitoring.stroke_monitor import StrokeMonitor, StrokeReport
-from valve_sim.identification.reporting.monitoring import stroke_json
-from valve_sim.identification.reporting.monitoring_words import told_finding
+from valve_sim.identification.reporting.monitoring import occasion_words, told_finding
 from valve_sim.model import ParameterError
 from valve_sim.nodes import topics
 from valve_sim.nodes.diagnostics import Level, Status
+from valve_sim.nodes.live_monitor import LiveMonitor
+from valve_sim.nodes.live_valve import load_stepper
 from valve_sim.nodes.messages import ReadingMessages
-from valve_sim.nodes.monitor_inputs import MonitorInputs, Takers
+from valve_sim.nodes.monitor_inputs import MonitorInputs
 from valve_sim.nodes.monitor_work import (
     FaultIsolation,
     Found,
-    HealthLog,
-    InputCount,
     MonitorThread,
-    StampCheck,
     finding_status,
+    health_of,
     health_status,
     isolation_status,
     model_status,
     stroke_status,
 )
-from valve_sim.nodes.realtime import LONGEST_LEAP_SECONDS, NANOSECONDS, SubscriberCounts
+from valve_sim.nodes.realtime import NANOSECONDS, SubscriberCounts
 from valve_sim.nodes.settings import MonitorNodeSettings
-from valve_sim.nodes.threads import Repeating, load_stepper
+from valve_sim.nodes.threads import Repeating
 from valve_sim.nodes.valve_parameters import valve_of
 from valve_sim.nodes.wiring import RosNode, full_name
 from valve_sim.traces import Trace
-from valve_sim.traces.trouble import MOST_STROKES
 
 _PAUSE: Final = 40e-3
 """s between deliveries: to wake up for a sample costs more than the model's step, and what is done once for each of
@@ -57,8 +52,6 @@ _PAUSE_IF_HEARD: Final = 10e-3
 """s, where each sample's prediction is heard: at 1 kHz no more at a time than the ten that a subscriber queues."""
 BETWEEN_REMINDERS: Final = 60.0
 """s between lines of the log about stamps of another clock."""
-_JUMP_SECONDS: Final = 1.0
-"""A stamp that goes back by more means a clock that was set or a bag that restarted, not a sample out of order."""
 
 
 class MonitorNode(RosNode[MonitorNodeSettings]):
@@ -82,32 +75,24 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
         measured = full_name(self._node, f"{self._valve}/{self._settings.measured}", "measured")
         self._state = Path(self._settings.state).expanduser() if self._settings.state else None
         self._kept = None if self._state is None else load_commissioning(self._state, valve)
-        self._input, self._stamps = InputCount(), StampCheck()
-        take = Takers(
-            self._command, self._sample, self._coil, self._pressure, self._end_pressure, self._input.reject,
-            self._stamps.note,
-        )  # fmt: skip
-        has_gas = valve.gas is not None
-        self._inputs = MonitorInputs(self._node, self._clock, self._valve, measured, take, has_gas=has_gas)
-        self._epoch: int | None = None
-        self._last_stamp: int | None = None
-        self._next_message = 0
-        self._segmenter = StrokeSegmenter(valve, settings)
-        if self._inputs.by_current:
-            self._segmenter.go_by_current()
-        self._is_by_current = self._segmenter.by_current
-        self._stroke_monitor = StrokeMonitor(valve, settings)
+        self._strokes = StrokeMonitor(valve, settings)
         if self._kept is not None:
-            self._stroke_monitor.use(self._kept)
+            self._strokes.use(self._kept)
         self._isolation = FaultIsolation(self._tell)
-        self._health = HealthLog(self._valve)
+        self._state_told = ""
         self._last_report: StrokeReport | None = None
-        self._baseline: Baseline | None = None
         self._is_ready = self._is_heard = False
         self._monitor_thread = MonitorThread(
-            self._stroke_monitor, prepare=self._prepare, report=self._report, isolate=self._isolate,
-            forget=self._forget, fail=self._fail,
+            self._strokes, prepare=self._prepare, report=self._report, isolate=self._isolate, forget=self._forget,
+            fail=self._fail,
         )  # fmt: skip
+        self._inputs = MonitorInputs(self._node, self._clock, self._valve, measured)
+        self._live = LiveMonitor(
+            valve, settings, self._strokes, by_current=self._inputs.by_current, follow=self._publish,
+            finished=self._monitor_thread.post, warn=self._warn,
+        )  # fmt: skip
+        self._inputs.hear(self._live, has_gas=valve.gas is not None)
+        self._next_message = 0
         self._delivery = Repeating(
             "delivery", self._deliver, lambda: _PAUSE_IF_HEARD if self._is_heard else _PAUSE, self._fail
         )
@@ -115,11 +100,10 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
         self._threads += (self._delivery, self._monitor_thread, self._isolation)
         self._wire()
 
-    def spin(self) -> None:
-        """Monitor until ROS is shut down."""
+    def _work(self) -> None:
         self._monitor_thread.start()
         self._delivery.start()
-        super().spin()
+        super()._work()
 
     # --- wiring ---
 
@@ -130,7 +114,6 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
         self._subscribers = SubscriberCounts(
             self._predicted.get_subscription_count, self._residual.get_subscription_count
         )
-        self._stroke_diagnostics = interface.publisher("~/stroke_diagnostics")
         self._stroke_report = interface.publisher("~/stroke_report")
         self._finding = interface.publisher("~/finding")
         self._messages = ReadingMessages(self._settings.frame_id)
@@ -146,94 +129,24 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
         else:
             inbox.store_waiting()
 
-    def _pressure(self, stamp: int, pressure: float) -> None:
-        self._segmenter.line.hear(self._seconds(stamp), pressure)
-
-    def _end_pressure(self, name: str, stamp: int, pressure: float) -> None:
-        self._segmenter.line.hear_end(name, self._seconds(stamp), pressure)
-
-    def _command(self, stamp: int, volts: float) -> None:
-        rejected = self._segmenter.rejected
-        self._segmenter.command(self._seconds(stamp), volts)
-        if self._segmenter.rejected > rejected:
-            self._input.reject(f"{self._inputs.voltage}: {volts:g} V")
-        else:
-            self._input.commands += 1
-        self._hand_over()
-
-    def _sample(self, stamp: int, position: float, received: int) -> None:
-        largest = MOST_STROKES * self._declared.parameters.stroke
-        if abs(position) > largest:
-            words = f"{self._inputs.measured}: {position:g} m, expected metres, at most {largest:g} m"
-            self._input.reject(words)
-            return
-        self._watch_for_jumps(stamp)
-        prediction = self._segmenter.measure(self._seconds(stamp), position, self._arrival(received))
-        self._follow(stamp, prediction, f"{position:g} m")
-
-    def _coil(self, stamp: int, current: float, voltage: float, received: int) -> None:
-        if self._segmenter.by_current:
-            self._watch_for_jumps(stamp)
-        prediction = self._segmenter.measure_current(self._seconds(stamp), current, voltage, self._arrival(received))
-        if self._segmenter.by_current:
-            self._follow(stamp, prediction, f"{current:g} A")
-
-    def _arrival(self, received: int) -> float:
-        return self._seconds(received) if received else math.nan
-
-    def _watch_for_jumps(self, stamp: int) -> None:
-        """Begin anew where the clock was set, or a bag starts again."""
-        moved = (stamp - self._last_stamp) / NANOSECONDS if self._last_stamp is not None else 0.0
-        if moved < -_JUMP_SECONDS or moved > LONGEST_LEAP_SECONDS:
-            words = f"the stamps jumped by {moved:g} s: the valve is taken to be at rest"
+    def _warn(self, words: str, is_frequent: bool) -> None:
+        if is_frequent:
             self._node.get_logger().warning(words, throttle_duration_sec=1.0)
-            self._segmenter.reset()
-            self._epoch, self._last_stamp, self._next_message = stamp, stamp - 1, 0
-
-    def _follow(self, stamp: int, prediction: Prediction | None, sample: str) -> None:
-        """After a sample: publish what was predicted, and hand strokes over that it has ended."""
-        if self._segmenter.by_current is not self._is_by_current:
-            self._is_by_current = self._segmenter.by_current
-            words = (
-                "goes by the coil's current alone: no position comes" if self._is_by_current else "goes by positions"
-            )
+        else:
             self._node.get_logger().warning(words)
-        if prediction is None:
-            self._input.reject(f"{self._inputs.measured}: {sample} at {stamp} ns, the last at {self._last_stamp} ns")
-            return
-        self._last_stamp = stamp
-        self._input.samples += 1
-        self._publish(stamp, prediction)
-        self._hand_over()
 
     def _publish(self, stamp: int, prediction: Prediction) -> None:
         """Publish prediction and residual, at most at max_rate and only if there are subscribers."""
-        if stamp < self._next_message:
+        pause = round(0.9 * NANOSECONDS / self._settings.max_rate)
+        if self._next_message - pause <= stamp < self._next_message:
             return
-        self._next_message = max(self._next_message, stamp) + round(0.9 * NANOSECONDS / self._settings.max_rate)
+        self._next_message = stamp + pause
         hears_predicted, hears_residual = self._subscribers.look(stamp)
         self._is_heard = hears_predicted or hears_residual
         if hears_predicted:
             self._predicted.publish(self._messages.joint_states(stamp, prediction.reading))
         if hears_residual:
             self._residual.publish(Float64(data=prediction.residual))
-
-    def _hand_over(self) -> None:
-        for record in self._segmenter.take_finished():
-            stamp = (self._epoch or 0) + round(record.time * NANOSECONDS)
-            self._monitor_thread.post(record._replace(stamp=stamp))
-        scatter = self._stroke_monitor.command_scatter
-        self._segmenter.scatter = scatter if math.isfinite(scatter) else 0.0
-        baseline = self._stroke_monitor.baseline
-        if baseline is not self._baseline and baseline is not None:
-            self._segmenter.use(baseline.valve, baseline.lateness)
-            self._baseline = baseline
-
-    def _seconds(self, stamp: int) -> float:
-        """Seconds since the first stamp, so that a double resolves nanoseconds."""
-        if self._epoch is None:
-            self._epoch = stamp
-        return (stamp - self._epoch) / NANOSECONDS
 
     def _recommission(self) -> tuple[bool, str]:
         self._monitor_thread.recommission()
@@ -243,18 +156,18 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
         waiting_for = "" if self._is_ready else "the model to be compiled"
         if self._is_ready and self._clock.read() is None:
             waiting_for = "/clock (use_sim_time is true)"
-        elif self._is_ready and not self._input.samples:
+        elif self._is_ready and not self._live.input.samples:
             waiting_for = f"samples on {self._inputs.wanted}"
-        elif self._is_ready and not self._input.commands:
+        elif self._is_ready and not self._live.input.commands:
             waiting_for = f"a command on {self._inputs.voltage}"
         unheard = self._inputs.incompatible_publishers()
-        if stamps := self._stamps.look(is_simulated=self._clock.is_simulated):
+        if stamps := self._live.stamps.look(is_simulated=self._clock.is_simulated):
             self._node.get_logger().warning(stamps, throttle_duration_sec=BETWEEN_REMINDERS)
         wanted = self._settings.commissioning_strokes
         return (
-            health_status(self._segmenter.fault, self._stroke_monitor, self._last_report, wanted, self._isolation),
-            model_status(self._stroke_monitor),
-            self._input.status(self._clock.elapsed(), self._monitor_thread.lost, waiting_for, unheard, stamps),
+            health_status(self._live.segmenter.fault, self._strokes, self._last_report, wanted, self._isolation.found),
+            model_status(self._strokes),
+            self._live.input.status(self._clock.elapsed(), self._monitor_thread.lost, waiting_for, unheard, stamps),
             isolation_status(self._isolation),
         )
 
@@ -262,7 +175,7 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
 
     def _prepare(self) -> None:
         """Load or compile the model before the first sample is processed."""
-        load_stepper(self._segmenter.valve)
+        load_stepper(self._live.segmenter.valve)
         self._is_ready = True
         self._node.get_logger().info(
             f"ready: hears {self._inputs.voltage} and {self._inputs.measured}, reports each stroke on "
@@ -271,15 +184,18 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
 
     def _report(self, report: StrokeReport) -> None:
         self._last_report = report
-        self._stroke_report.publish(String(data=json.dumps(stroke_json(report, self._valve), ensure_ascii=False)))
-        self._stroke_diagnostics.publish(self._diagnostics([stroke_status(report)], report.record.stamp))
+        self._stroke_report.publish(self._diagnostics([stroke_status(report, self._valve)], report.record.stamp))
         self._keep()
-        if change := self._health.look(report, self._stroke_monitor):
-            self._log(*change)
+        wanted = self._settings.commissioning_strokes
+        level, state, words = health_of(self._strokes, report.record.fault, self._isolation.found, wanted)
+        if state != self._state_told:
+            self._state_told = state
+            occasion = Occasion(self._valve, report.record.number, report.record.stamp)
+            self._log(level, f"{occasion_words(occasion)}, {report.volts:.1f} V: {words}")
 
     def _keep(self) -> None:
         """Write the state file once commissioning is complete."""
-        commissioning = self._stroke_monitor.commissioning
+        commissioning = self._strokes.commissioning
         if commissioning is None or commissioning is self._kept or self._state is None:
             return
         self._kept = commissioning

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from rclpy.node import Node
 
 from valve_sim.nodes import topics
 from valve_sim.nodes.heard import UnusableMessageError
+from valve_sim.nodes.live_monitor import LiveMonitor
 from valve_sim.nodes.messages import pilot_position, stamp_of
 from valve_sim.nodes.node_clock import NodeClock
 from valve_sim.nodes.realtime import Arrival
@@ -21,32 +22,12 @@ _OF_COIL: Final = ("coil", "coil_current")
 """Last part of a measured topic that is no position."""
 
 
-class Takers(NamedTuple):
-    """What is done with what is heard; called in the thread that empties the inbox.
-
-    Attributes:
-        command: stamp, ns, and volts. position: stamp, m, and the time of reception, ns, 0 where not known.
-        coil: stamp, A, V or nan, and the time of reception. pressure: stamp and Pa, behind a valve with gas.
-        end_pressure: name, stamp and Pa, of its tank or of what its demand's orifice leads to.
-        reject: why a message cannot be used. stamped: topic, stamp and ROS time of each stamped message, ns.
-    """
-
-    command: Callable[[int, float], None]
-    position: Callable[[int, float, int], None]
-    coil: Callable[[int, float, float, int], None]
-    pressure: Callable[[int, float], None]
-    end_pressure: Callable[[str, int, float], None]
-    reject: Callable[[str], None]
-    stamped: Callable[[str, int, int], None]
-
-
 class MonitorInputs:
     """The topics that monitor_node hears. Pressures and commands are taken before the samples that came with them.
 
     Args:
         node: which subscribes. clock: of it.
         valve: full name of the node whose commands are heard. measured: topic of positions, or of the coil.
-        take: what is done with what is heard. has_gas: whether there is a pressure behind the valve to be heard.
 
     Attributes:
         inbox: which delivers. measured: the topic of the samples. voltage: that of the commands.
@@ -54,24 +35,29 @@ class MonitorInputs:
         wanted: where samples are waited for, in words.
     """
 
-    def __init__(self, node: Node, clock: NodeClock, valve: str, measured: str, take: Takers, *, has_gas: bool) -> None:
-        self._clock, self._take = clock, take
+    def __init__(self, node: Node, clock: NodeClock, valve: str, measured: str) -> None:
+        self._clock = clock
         self.inbox = Inbox(node, clock)
         sensors, _, kind = measured.rpartition("/")
         # As remapped, for the log.
-        self.measured, self.voltage, coil = map(
+        self.measured, self.voltage, self._coil = map(
             node.resolve_topic_name, (measured, f"{valve}/coil_voltage", f"{sensors}/coil")
         )
         self.by_current = kind in _OF_COIL
-        self.wanted = self.measured if self.by_current else f"{self.measured}, or a current on {coil}"
+        self.wanted = self.measured if self.by_current else f"{self.measured}, or a current on {self._coil}"
         self._interface = Interface(node, topics.MONITOR, valve=valve, sensors=sensors, measured=measured)
+        self._is_simulated = sensors == valve
+
+    def hear(self, live: LiveMonitor, *, has_gas: bool) -> None:
+        """Hand on what is heard from now on; `has_gas`: whether pressures around the valve are heard, too."""
+        self._live = live
         if has_gas:
-            self._subscribe_to_pressures(is_simulated=sensors == valve)
+            self._subscribe_to_pressures()
         self._commands = self._receive("{valve}/coil_voltage", self._on_command)
         if not self.by_current:
             self._receive("{measured}", self._on_position)
         self._unstamped_current = self._receive("{sensors}/coil_current", self._on_unstamped_current)
-        self._coil = self._receive("{sensors}/coil", self._on_coil).topic
+        self._receive("{sensors}/coil", self._on_coil)
 
     def incompatible_publishers(self) -> int:
         """How many publishers of commands cannot be heard, because they offer best effort."""
@@ -80,32 +66,34 @@ class MonitorInputs:
     def _receive(self, name: str, take: Callable[[Any, Arrival], None], **places: str) -> Source:
         return self._interface.receive(self.inbox, name, take, **places)
 
-    def _subscribe_to_pressures(self, *, is_simulated: bool) -> None:
+    def _subscribe_to_pressures(self) -> None:
         """Subscribe to the pressure behind the valve, and to those at its ends.
 
         A simulated valve says which pressures it obeys, and from when on; a sensor's stamps are those of its samples.
         What the valve is told counts, from its own stamp on, until one of them is heard.
         """
-        self._receive("{sensors}/outlet_pressure", partial(self._on_pressure, self._take.pressure))
+        outlet = partial(self._live.outlet_pressure, "outlet_pressure")
+        self._receive("{sensors}/outlet_pressure", partial(self._on_pressure, outlet))
         for end in topics.ENDS:
-            take = partial(self._on_pressure, partial(self._take.end_pressure, end))
+            take = partial(self._on_pressure, partial(self._live.end_pressure, end))
             told = self._receive("{valve}/{end}", take, end=end)
-            known = "{valve}/obeyed/{end}" if is_simulated else "{sensors}/{end}"
+            known = "{valve}/obeyed/{end}" if self._is_simulated else "{sensors}/{end}"
             self._receive(known, partial(self._on_known_pressure, told, take), end=end)
 
     def _on_command(self, message: Any, arrival: Arrival) -> None:
-        self._take.command(self._clock.stamp_of(arrival), message.data)
+        self._live.command(self.voltage, self._clock.stamp_of(arrival), message.data)
 
     def _on_position(self, message: Any, arrival: Arrival) -> None:
         try:
             position = pilot_position(message)
         except UnusableMessageError as error:
-            self._take.reject(f"{self.measured}: {error}")
+            self._live.input.reject(f"{self.measured}: {error}")
         else:
-            self._take.position(self._stamp(self.measured, message, arrival), position, self._received(arrival))
+            stamp = self._stamp(self.measured, message, arrival)
+            self._live.position(self.measured, stamp, position, self._received(arrival))
 
     def _on_unstamped_current(self, message: Any, arrival: Arrival) -> None:
-        self._take.coil(self._clock.stamp_of(arrival), message.data, math.nan, 0)
+        self._live.coil(self._coil, self._clock.stamp_of(arrival), message.data, math.nan, 0)
 
     def _on_coil(self, message: Any, arrival: Arrival) -> None:
         """Take the current where it is stamped, in place of the one that is not, which costs as much to receive."""
@@ -113,7 +101,7 @@ class MonitorInputs:
             return
         self.inbox.unsubscribe(self._unstamped_current)
         stamp = self._stamp(self._coil, message, arrival)
-        self._take.coil(stamp, message.current, message.voltage, self._received(arrival))
+        self._live.coil(self._coil, stamp, message.current, message.voltage, self._received(arrival))
 
     def _on_pressure(self, take: Callable[[int, float], None], message: Any, arrival: Arrival) -> None:
         """Take a pressure; one without a stamp counts from when it is received."""
@@ -128,7 +116,7 @@ class MonitorInputs:
 
     def _stamp(self, topic: str, message: Any, arrival: Arrival) -> int:
         stamp = stamp_of(message)
-        self._take.stamped(topic, stamp, self._clock.stamp_of(arrival))
+        self._live.stamps.note(topic, stamp, self._clock.stamp_of(arrival))
         return stamp
 
     def _received(self, arrival: Arrival) -> int:

@@ -6,25 +6,27 @@ and each stroke.
 
 from __future__ import annotations
 
+import gc
 import math
 import queue
 import threading
-from collections.abc import Callable, Iterator, Mapping
-from typing import Any, Final, NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Final, NamedTuple
 
 from valve_sim.identification.monitoring.agreement import Agreement
 from valve_sim.identification.monitoring.fault_isolation import FaultFinding, isolate_fault
 from valve_sim.identification.monitoring.findings import Fault, Occasion, StrokeRecord, StrokeState
 from valve_sim.identification.monitoring.scores import Baseline
 from valve_sim.identification.monitoring.stroke_monitor import StrokeMonitor, StrokeReport
-from valve_sim.identification.reporting.monitoring import finding_json
-from valve_sim.identification.reporting.monitoring_words import (
+from valve_sim.identification.reporting.monitoring import (
     TIMING_UNCERTAIN,
     fault_words,
-    occasion_words,
+    finding_json,
+    keys_and_values,
     remark_words,
     shared_delay_words,
     state_words,
+    stroke_json,
     told_finding,
 )
 from valve_sim.model.errors import ValveError
@@ -41,6 +43,8 @@ LONGEST_WAIT: Final = 60.0
 """s that a sample may have waited on its way; what is older is of another clock."""
 SAME_WAIT: Final = 0.05
 """s by which the waits of samples differ at most, within a second, on a machine that is not busy."""
+BETWEEN_LOOKS: Final = 1.5
+"""s from one look at the stamps to the next, at most."""
 SILENT_SECONDS: Final = 2.0
 """Time without samples after which the input is a warning."""
 
@@ -93,6 +97,7 @@ class MonitorThread(StoppableThread):
 
     def _compare(self) -> None:
         self._prepare()
+        gc.freeze()  # as a `Worker` does
         while not self.is_stopping:
             record = self._waiting.get()
             if self._anew.is_set():
@@ -220,12 +225,43 @@ class _Cancelled(Exception):  # noqa: N818 -- not an error: the node ends
     """What is being isolated is no longer wanted."""
 
 
+class Health(NamedTuple):
+    """Whether a valve is as commissioned: the level, a name that stays as long as nothing changes, and words."""
+
+    level: Level
+    state: str
+    words: str
+
+
+def health_of(monitor: StrokeMonitor, fault: Fault | None, found: Found | None, wanted: int) -> Health:
+    """ERROR where the valve does not open or close, WARN where it has changed.
+
+    Args:
+        fault: of the stroke that is going on, or of the last one. found: the last finding.
+        wanted: strokes that commissioning takes.
+    """
+    if fault is not None:
+        return Health(Level.ERROR, "fault", fault_words(fault))
+    alarm, scatter = monitor.alarm, monitor.command_scatter
+    if alarm is not None:
+        changed = f"the strokes since number {alarm.began} are not those of the commissioned valve"
+        is_traced = found is not None and found.occasion.stroke >= alarm.began
+        cause = told_finding(*found) if found is not None and is_traced else f"most in the direction of {alarm.cause}"
+        return Health(Level.WARN, "alarm", f"{changed}: {cause}")
+    if monitor.baseline is None:
+        words = f"commissioning, {monitor.commissioned} of {wanted} strokes"
+        return Health(Level.OK, state_words(StrokeState.COMMISSIONING), words)
+    if monitor.is_timing_uncertain:
+        words = f"commands are obeyed {1e3 * scatter:.1f} ms sooner or later than they come in; the shape of strokes is"
+        return Health(Level.OK, TIMING_UNCERTAIN, f"{TIMING_UNCERTAIN}: {words} as commissioned")
+    shared = f"{shared_delay_words(monitor.shared_delay)}; else " if monitor.shared_delay else ""
+    return Health(Level.OK, state_words(StrokeState.WATCHING), f"{shared}as commissioned")
+
+
 def health_status(
-    fault: Fault | None, monitor: StrokeMonitor, last: StrokeReport | None, wanted: int, isolation: FaultIsolation
+    fault: Fault | None, monitor: StrokeMonitor, last: StrokeReport | None, wanted: int, found: Found | None
 ) -> Status:
-    """Whether the valve is as commissioned: ERROR where it does not open or close, WARN where it has changed."""
-    found, alarm = isolation.found, monitor.alarm
-    cause = "" if found is None else told_finding(*found)
+    """`health_of` a valve, and the figures of its `last` stroke; `fault` of the stroke that is going on."""
     values = {
         "strokes": "0" if last is None else str(last.record.number + 1),
         "alarms": str(monitor.alarms),
@@ -233,27 +269,13 @@ def health_status(
         "scatter of commands (ms)": number_words(1e3 * monitor.command_scatter, ".3f"),
         "highest sum": "none" if last is None or math.isnan(last.sum) else f"{last.sum:.2f} ({last.cause})",
         "threshold": "none" if last is None else number_words(last.threshold, ".2f"),
-        **({"residual (µm)": "none"} if last is None else _texts(_errors(last, "residual"))),
-        "cause": cause,
+        **({"residual (µm)": "none"} if last is None else _residual(last)),
+        "cause": "" if found is None else told_finding(*found),
     }
     if fault is None and last is not None and not last.has_positions:
         fault = last.record.fault
-    if fault is not None:
-        return Status("valve", Level.ERROR, fault_words(fault), values)
-    if alarm is not None:
-        changed = f"the strokes since number {alarm.began} are not those of the commissioned valve"
-        if found is None or found.occasion.stroke < alarm.began:
-            cause = f"most in the direction of {alarm.cause}"
-        return Status("valve", Level.WARN, f"{changed}: {cause}", values)
-    if monitor.baseline is None:
-        return Status("valve", Level.OK, f"commissioning, {monitor.commissioned} of {wanted} strokes", values)
-    if monitor.is_timing_uncertain:
-        scatter = f"commands are obeyed {1e3 * monitor.command_scatter:.1f} ms sooner or later than they come in"
-        words = f"{TIMING_UNCERTAIN}: {scatter}; the shape of strokes is as commissioned"
-        return Status("valve", Level.OK, words, values)
-    if monitor.shared_delay:
-        return Status("valve", Level.OK, f"{shared_delay_words(monitor.shared_delay)}; else as commissioned", values)
-    return Status("valve", Level.OK, "as commissioned", values)
+    health = health_of(monitor, fault, found, wanted)
+    return Status("valve", health.level, health.words, values)
 
 
 def model_status(monitor: StrokeMonitor) -> Status:
@@ -285,45 +307,17 @@ def isolation_status(isolation: FaultIsolation) -> Status:
     return Status("fault isolation", Level.OK, "idle", {})
 
 
-def stroke_status(report: StrokeReport) -> Status:
-    """The figures of one stroke as numbers that can be plotted; nan for what is not known."""
-    damping = {f"{name} (N·s·m⁻¹)": interval.value for name, interval in report.damping.items()}
-    values = {
-        "stroke": report.record.number,
-        "opening delay (ms)": 1e3 * report.opening_delay,
-        "t1 (ms)": 1e3 * report.t1,
-        "t2 (ms)": 1e3 * report.t2,
-        "closing time (ms)": 1e3 * report.closing_time,
-        **{f"{name} error (ms)": 1e3 * s for name, s in zip(("t1", "t2", "closing time"), report.errors, strict=True)},
-        **_errors(report, "residual", "noise"),
-        "scatter of commands (ms)": 1e3 * report.command_scatter,
-        "highest sum": report.sum,
-        "threshold": report.threshold,
-        **damping,
-        **{f"score {name}": score for name, score in report.scores.items()},
-    }
+def stroke_status(report: StrokeReport, valve: str) -> Status:
+    """A stroke as keys and values, each figure a number in SI units; what is not known is left out."""
     level, words = _verdict_on(report)
-    return Status("stroke", level, words, {name: f"{value:.6g}" for name, value in values.items()})
+    return Status("stroke", level, words, dict(keys_and_values(stroke_json(report, valve))))
 
 
 def finding_status(found: Found) -> Status:
-    """A finding as keys and values: the kind of its verdict, the effects and their sizes, and how sure all that is.
-
-    What is nested in JSON has its names joined by dots, such as "parameters.coulomb_friction.force.value".
-    """
+    """A finding as keys and values: the kind of its verdict, the effects and their sizes, and how sure all that is."""
     told = finding_json(*found)
     values = {name: value for name, value in told.items() if name not in ("schema", "summary")}
-    return Status("finding", Level.WARN, told["summary"], dict(_flat(values, "")))
-
-
-def _flat(found: Any, prefix: str) -> Iterator[tuple[str, str]]:
-    if isinstance(found, Mapping):
-        for name, value in found.items():
-            yield from _flat(value, f"{prefix}.{name}" if prefix else name)
-    elif isinstance(found, list):
-        yield prefix, ", ".join(map(str, found))
-    else:
-        yield prefix, "none" if found is None else str(found)
+    return Status("finding", Level.WARN, told["summary"], dict(keys_and_values(values)))
 
 
 def _verdict_on(report: StrokeReport) -> tuple[Level, str]:
@@ -341,10 +335,9 @@ def _state(monitor: StrokeMonitor) -> StrokeState:
     return StrokeState.TIMING_UNCERTAIN if monitor.is_timing_uncertain else StrokeState.WATCHING
 
 
-def _errors(report: StrokeReport, *names: str) -> dict[str, float]:
-    """The residual, and the noise, of the position in µm, or of the current alone in mA."""
-    values = {"residual": report.rms, "noise": report.noise}
-    return {_with_unit(name, report.has_positions): _scale(report.has_positions) * values[name] for name in names}
+def _residual(report: StrokeReport) -> dict[str, str]:
+    """Of the position in µm, or of the current alone in mA."""
+    return _texts({_with_unit("residual", report.has_positions): _scale(report.has_positions) * report.rms})
 
 
 def _with_unit(name: str, has_positions: bool) -> str:
@@ -359,53 +352,18 @@ def _texts(values: Mapping[str, float]) -> dict[str, str]:
     return {name: number_words(value, ".3f") for name, value in values.items()}
 
 
-class HealthLog:
-    """A line for the log whenever the state of the valve changes.
-
-    Args:
-        valve: full name of its node.
-    """
-
-    def __init__(self, valve: str) -> None:
-        self._valve = valve
-        self._state = ""
-
-    def look(self, report: StrokeReport, monitor: StrokeMonitor) -> tuple[Level, str] | None:
-        """Level and words after this stroke; None where nothing has changed."""
-        level, state, words = _health(report, monitor)
-        if state == self._state:
-            return None
-        self._state = state
-        occasion = Occasion(self._valve, report.record.number, report.record.stamp)
-        return level, f"{occasion_words(occasion)}, {report.volts:.1f} V: {words}"
-
-
-def _health(report: StrokeReport, monitor: StrokeMonitor) -> tuple[Level, str, str]:
-    """Level, name of the state, and message."""
-    if report.record.fault is not None:
-        return Level.ERROR, "fault", fault_words(report.record.fault)
-    alarm = monitor.alarm
-    if alarm is not None:
-        words = f"not as commissioned since stroke {alarm.began}, most in the direction of {alarm.cause}"
-        return Level.WARN, "alarm", words
-    if monitor.baseline is None:
-        return Level.OK, state_words(StrokeState.COMMISSIONING), "commissioning has begun"
-    if monitor.is_timing_uncertain:
-        words = f"commands scatter by {1e3 * monitor.command_scatter:.1f} ms; shapes are judged"
-        return Level.OK, TIMING_UNCERTAIN, f"{TIMING_UNCERTAIN}: {words}"
-    return Level.OK, state_words(StrokeState.WATCHING), "as commissioned"
-
-
 class StampCheck:
     """Compares the stamps of samples with the node's own clock, by which commands are timed: they must be one clock.
 
     A clock that is wrong is so by the same time for each sample. Samples that wait, in a driver or on a busy machine,
-    differ in how long: by more than the least of it, or, where clocks were seen to agree, by more than a moment.
+    differ in how long, by more than the least of it; and where clocks were seen to agree, the least grows no faster
+    than time goes on.
     """
 
     def __init__(self) -> None:
         self._begin()
-        self._agreed = False
+        self._waited = math.nan
+        """s that samples had waited at the last look; nan where clocks were not seen to agree."""
 
     def _begin(self) -> None:
         self._topic, self._least, self._most = "", math.inf, -math.inf
@@ -423,10 +381,15 @@ class StampCheck:
         """What is wrong with the stamps since the last look, and the mend; empty where nothing is, or none came."""
         topic, least, most = self._topic, self._least / NANOSECONDS, self._most / NANOSECONDS
         self._begin()
-        if not FARTHEST_STAMP < abs(least) < math.inf:
-            self._agreed = self._agreed or bool(topic)
+        if not topic:
             return ""
-        if 0.0 < least < LONGEST_WAIT and most - least > (SAME_WAIT if self._agreed else least):
+        is_one_clock = abs(least) <= FARTHEST_STAMP
+        has_grown = least - self._waited <= BETWEEN_LOOKS and most - least > SAME_WAIT
+        has_waited = 0.0 < least < LONGEST_WAIT and (has_grown or most - least > least)
+        self._waited = least if is_one_clock or has_waited else math.nan
+        if is_one_clock:
+            return ""
+        if has_waited:
             return (
                 f"{topic} comes {_duration(least)} to {_duration(most)} after its stamps, held back by its driver or a "
                 "busy machine; send each sample at once, or fewer of them"

@@ -159,7 +159,11 @@ def option(
         meaning: in words. unit, lower, upper: of a number, or of each in a list.
         choices: all that a text may be; empty for any. read_only: whether it is read once, at the start.
     """
-    return field(default=default, metadata={"row": (meaning, unit, lower, upper, choices, read_only)})
+    value = list(default) if isinstance(default, tuple) else default
+    one = value[0] if isinstance(value, list) else value
+    is_number = isinstance(one, int | float) and not isinstance(one, bool)
+    rule = Parameter("", unit, meaning, lower, upper) if is_number else None
+    return field(default=default, metadata={"row": NodeParameter("", value, meaning, unit, rule, choices, read_only)})
 
 
 @dataclass(frozen=True)
@@ -176,7 +180,7 @@ class NodeSettings:
     @classmethod
     def rows(cls) -> dict[str, NodeParameter]:
         """A table of the settings alone."""
-        return {entry.name: _row_of(entry.name, entry.default, *entry.metadata["row"]) for entry in fields(cls)}
+        return {entry.name: entry.metadata["row"]._replace(name=entry.name) for entry in fields(cls)}
 
     @classmethod
     def table(cls) -> dict[str, NodeParameter]:
@@ -230,17 +234,6 @@ class Declares(Protocol[S_co]):
 
     def of(self, values: Mapping[str, Value]) -> S_co:
         """The node's settings among them."""
-
-
-def _row_of(
-    name: str, default: Value, meaning: str, unit: str, lower: float, upper: float, choices: tuple[str, ...],
-    read_only: bool,
-) -> NodeParameter:  # fmt: skip
-    value = list(default) if isinstance(default, tuple) else default
-    one = value[0] if isinstance(value, list) else value
-    is_number = isinstance(one, int | float) and not isinstance(one, bool)
-    rule = Parameter(name, unit, meaning, lower, upper) if is_number else None
-    return NodeParameter(name, value, meaning, unit, rule, choices, read_only)
 
 
 def check_given(

@@ -1,6 +1,6 @@
 """The node `command_profile`: a profile of voltages wired to a valve's topic. The coil is off at every end of it.
 
-Threads: the main thread commands; an `AnsweringThread` answers ROS (parameters, /clock).
+The main thread commands.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class ProfileNode(CommandingNode[ProfileSettings]):
                 f"from {self._settings.profile}"
             )
             self._next_progress = self._clock.elapsed() + _PROGRESS_SECONDS
-            play(self._drive, self._clock, self._command, lambda: self._stop.why, self._note)
+            play(self._drive, self._clock, self._command, lambda: self.stop.why, self._note)
             self._exit_code = 0
         except ProfileBrokenOffError as reason:
             logger.error(f"broken off after {len(self._commanded)} of {len(self._drive.times)} commands: {reason}")
@@ -106,13 +106,13 @@ class ProfileNode(CommandingNode[ProfileSettings]):
         self._is_watching = True
 
     def _pause(self, seconds: float) -> None:
-        if self._stop.wait(seconds):
-            raise ProfileBrokenOffError(self._stop.why)
+        if self.stop.wait(seconds):
+            raise ProfileBrokenOffError(self.stop.why)
 
     def _look(self) -> None:
         """Whether the valve is still there; in the spinning thread, because the query takes a while."""
-        if self._is_watching and not self._stop.why and self._listener not in self._listeners():
-            self._stop.ask(f"{self._listener} does not hear {self._voltage.topic_name} any more")
+        if self._is_watching and not self.stop.why and self._listener not in self._listeners():
+            self.stop.ask(f"{self._listener} does not hear {self._voltage.topic_name} any more")
 
     def _command(self, volts: float) -> int:
         stamp = self._clock.stamp()
@@ -132,7 +132,7 @@ class ProfileNode(CommandingNode[ProfileSettings]):
                 f"{len(self._commanded)} of {len(self._drive.times)} commands, {left:.1f} s left"
             )
 
-    def _switch_off(self) -> None:
+    def _finish(self) -> None:
         """Send 0 V, wait until it and its log are received, and write what was commanded."""
         if not self._commanded:
             return

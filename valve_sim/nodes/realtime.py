@@ -6,6 +6,7 @@ handed out, each with the time that it stands for.
 
 from __future__ import annotations
 
+import gc
 import math
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -21,8 +22,8 @@ LISTENERS_SECONDS: Final = 0.5
 """s to wait for the discovery of subscribers, which takes up to a quarter of a second."""
 BACKLOG_SECONDS: Final = 0.5
 """s: samples that are overdue for longer are dropped; the model is stepped over them nevertheless."""
-_BETWEEN_LOOKS: Final = 20_000_000
-"""ns between two looks at who subscribes: no longer than a new subscriber may take to be discovered."""
+_LOOKS_RATE: Final = 50.0
+"""Hz of looks at who subscribes: a new subscriber may take longer to be discovered."""
 LONGEST_LEAP_SECONDS: Final = 60.0
 """s: a clock that moves further between two readings has been set."""
 _LONGEST_LEAP: Final = round(LONGEST_LEAP_SECONDS * NANOSECONDS)
@@ -35,34 +36,24 @@ class Schedule:
     """
 
     def __init__(self, rate: float, start: int, backlog: float = BACKLOG_SECONDS) -> None:
-        self.next = start
-        self._rate = rate
-        self._start = start
-        self._index = 0
-        self._most = max(1, int(backlog * rate))
-        self.backlog = round(self._most * NANOSECONDS / rate)
+        self.next, self.rate = start, rate
+        self._start, self._index = start, 0
+        self.backlog = round(max(1, int(backlog * rate)) * NANOSECONDS / rate)
 
     def take(self) -> int:
         """The next deadline, ns; each is handed out once."""
         time = self.next
         self._index += 1
-        self.next = self._start + round(self._index * NANOSECONDS / self._rate)
+        self.next = self._start + round(self._index * NANOSECONDS / self.rate)
         return time
 
     def drop_overdue(self, now: int) -> int:
-        """Drop the deadlines that are overdue for longer than the backlog at `now`, ns; how many."""
-        end = int((now - self._start) * self._rate / NANOSECONDS) + 1
-        while self._at(end - 1) > now:
-            end -= 1
-        while self._at(end) <= now:
-            end += 1
-        lost = max(0, end - self._most - self._index)
-        self._index += lost
-        self.next = self._at(self._index)
+        """Drop the deadlines that are overdue for as long as the backlog at `now`, ns; how many."""
+        lost = 0
+        while now - self.next >= self.backlog:
+            self.take()
+            lost += 1
         return lost
-
-    def _at(self, index: int) -> int:
-        return self._start + round(index * NANOSECONDS / self._rate)
 
 
 class Timing(NamedTuple):
@@ -195,67 +186,40 @@ class Worker(StoppableThread):
 
     def _follow(self) -> None:
         self._prepare()
-        pace = _Pace(self._clock, self._restart)
+        gc.freeze()  # what is loaded stays: collecting it would stop the steps for tens of milliseconds
+        last, schedule = None, Schedule(self._rate, 0)
         while not self.is_stopping:
-            schedule = pace.look(self._rate)
-            if schedule is None:
+            reading = self._clock.read()
+            if reading is None:
                 self._clock.sleep_until(0)
-            else:
-                self._catch_up(schedule, pace.now, is_simulated=pace.is_simulated)
-                self._clock.sleep_until(schedule.next)
+                continue
+            reason = why_restart(last, reading)
+            if reason is not None:
+                self._restart(Restart(reading, reason))
+                schedule = Schedule(self._rate, reading.nanoseconds)
+            elif schedule.rate != self._rate:
+                # Continue where the old rate would have: no deadline twice, none left out.
+                schedule = Schedule(self._rate, schedule.next)
+            last = reading
+            self._catch_up(schedule, reading)
+            self._clock.sleep_until(schedule.next)
 
-    def _catch_up(self, schedule: Schedule, until: int, *, is_simulated: bool) -> None:
-        """Make the steps up to a time, ns, that has just been read off the clock.
+    def _catch_up(self, schedule: Schedule, reading: ClockReading) -> None:
+        """Make the steps up to a reading of the clock.
 
         Simulated time moves by whole ticks, so that a step can be made only once /clock has passed it: it is late by
         what the clock goes on between that and the step, and the length of a tick says nothing about this machine.
         """
+        until, is_simulated = reading
         if until - schedule.next > schedule.backlog:
             self.timing.note_lost(schedule.drop_overdue(until))
-        now, period = until, NANOSECONDS / self._rate
+        now, period = until, NANOSECONDS / schedule.rate
         while schedule.next <= until and not self.is_stopping:
             time = schedule.take()
             self.timing.note(now - (until if is_simulated else time), period)
             self._step(time)
-            if schedule.next <= until and (reading := self._clock.read()):
-                now = reading.nanoseconds
-
-
-class _Pace:
-    """Watches the clock for jumps, and the rate for changes; keeps its last reading."""
-
-    def __init__(self, clock: PaceClock, restart: Callable[[Restart], None]) -> None:
-        self.now, self.is_simulated = 0, False
-        self._clock = clock
-        self._restart = restart
-        self._last: ClockReading | None = None
-        self._rate = math.nan
-        self._schedule: Schedule | None = None
-
-    def look(self, rate: float) -> Schedule | None:
-        """Read the clock; the present schedule, or None while the clock has no time yet."""
-        reading, last = self._clock.read(), self._last
-        if reading is None:
-            return None
-        self._last, (self.now, self.is_simulated) = reading, reading
-        if (
-            rate == self._rate
-            and last is not None
-            and reading.is_simulated == last.is_simulated
-            and 0 <= self.now - last.nanoseconds <= _LONGEST_LEAP
-        ):
-            return self._schedule  # as nearly always, without a call; `why_restart` would find the same
-        reason = why_restart(last, reading)
-        if reason is not None:
-            self._restart(Restart(reading, reason))
-            self._schedule = None
-        if self._schedule is None:
-            self._schedule = Schedule(rate, reading.nanoseconds)
-        elif rate != self._rate:
-            # Continue where the old rate would have: no deadline twice, none left out.
-            self._schedule = Schedule(rate, self._schedule.next)
-        self._rate = rate
-        return self._schedule
+            if schedule.next <= until and (later := self._clock.read()):
+                now = later.nanoseconds
 
 
 def why_restart(last: ClockReading | None, now: ClockReading) -> str | None:
@@ -325,15 +289,12 @@ class SubscriberCounts:
     """Which of some topics anyone subscribes to, looked at every 20 ms: what nobody hears need not be published."""
 
     def __init__(self, *counts: Callable[[], int]) -> None:
-        self._counts = counts
-        self._look_again_at = -math.inf
-        self._looked_at = math.inf
+        self._counts, self._looks = counts, Decimator(_LOOKS_RATE)
         self._is_heard: tuple[bool, ...] = ()
 
     def look(self, clock: int) -> tuple[bool, ...]:
         """Of each topic, at the last look; `clock`, ns, is the time of the clock by which looks are apart."""
-        if not self._looked_at <= clock < self._look_again_at:
-            self._looked_at, self._look_again_at = clock, clock + _BETWEEN_LOOKS
+        if self._looks.is_due(clock):
             self._is_heard = tuple(count() > 0 for count in self._counts)
         return self._is_heard
 

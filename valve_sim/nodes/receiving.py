@@ -9,7 +9,6 @@ such call, the executor calls back as usual. This is the only module that uses `
 
 from __future__ import annotations
 
-import itertools
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -26,7 +25,7 @@ from valve_sim.nodes.realtime import Arrival
 from valve_sim.nodes.spinning import every, guarded, log_left_out
 
 MOST_STORED: Final = 100_000
-"""Messages of one topic that are kept between two deliveries; of more the oldest are dropped."""
+"""Messages that are kept between two deliveries; of more the oldest are dropped."""
 
 _BETWEEN_LOOKS: Final = 1.0
 """s from one look for publishers that cannot be heard to the next."""
@@ -40,7 +39,6 @@ class Source:
 
     Attributes:
         known_types: of its publishers, which were warned of where they are not its own.
-        stored: messages that the executor has called back with, each with its number among all of the inbox.
         incompatible_publishers: how many offer best effort where this topic is subscribed to reliably.
     """
 
@@ -49,7 +47,6 @@ class Source:
         self.type = f"{message_type.__module__.partition('.')[0]}/msg/{message_type.__name__}"
         self.known_types = {self.type}
         self.subscription: Subscription
-        self.stored: deque[tuple[int, Any, Arrival]] = deque(maxlen=MOST_STORED)
         self.incompatible_publishers = 0
 
 
@@ -59,10 +56,10 @@ class Inbox:
     def __init__(self, node: Node, clock: NodeClock) -> None:
         self._node, self._clock = node, clock
         self._group = _PolledGroup(lambda: self.is_polled)
-        self._can_take, self._has_stored = True, False
+        self._can_take = True
         self._sources: tuple[Source, ...] = ()
-        self._numbers = itertools.count()
-        self._storing, self._delivering = threading.Lock(), threading.Lock()
+        self._stored: deque[tuple[Source, Any, Arrival]] = deque(maxlen=MOST_STORED)
+        self._delivering = threading.Lock()
         clock.when_exchanged(self._wake_executor)
         every(node, _BETWEEN_LOOKS, self._look)
 
@@ -76,9 +73,7 @@ class Inbox:
         source = Source(self._node.resolve_topic_name(topic), message_type, take)
 
         def store(message: Any, info: Any) -> None:
-            with self._storing:
-                source.stored.append((next(self._numbers), message, self._arrival(info)))
-                self._has_stored = True
+            self._stored.append((source, message, self._arrival(info)))
 
         callback: Any = guarded(store)  # its second argument, message info, is missing in rclpy's types
         # Without events: an executor that waits for those alone is woken, again and again, by messages too.
@@ -102,18 +97,18 @@ class Inbox:
         """
         with self._delivering:
             self.store_waiting()
-            if not self._has_stored:
-                return False
-            for source, message, arrival in self._take_stored():
+            count = len(self._stored)
+            for _ in range(count):
+                source, message, arrival = self._stored.popleft()
                 if source in self._sources:
                     source.take(message, arrival)
-        return True
+        return count > 0
 
     def forget(self) -> None:
         """Drop all messages that have come."""
         with self._delivering:
             self.store_waiting()
-            self._take_stored()
+            self._stored.clear()
 
     def store_waiting(self) -> None:
         """Have what waits in the middleware, which holds as many as the topic's depth, wait here for a delivery."""
@@ -121,17 +116,7 @@ class Inbox:
             return
         waiting = [(source, found) for source in reversed(self._sources) if (found := self._take_waiting(source))]
         for source, found in reversed(waiting):
-            with self._storing:
-                source.stored += ((next(self._numbers), *one) for one in found)
-                self._has_stored = True
-
-    def _take_stored(self) -> list[tuple[Source, Any, Arrival]]:
-        with self._storing:
-            self._has_stored = False
-            stored = [(number, source, *rest) for source in self._sources for number, *rest in source.stored]
-            for source in self._sources:
-                source.stored.clear()
-        return [(source, message, arrival) for _, source, message, arrival in sorted(stored, key=lambda one: one[0])]
+            self._stored += [(source, *one) for one in found]
 
     def _take_waiting(self, source: Source) -> list[tuple[Any, Arrival]]:
         subscription = source.subscription

@@ -48,7 +48,7 @@ class IdentificationSettings(NodeSettings):
         ".",
         "folder of identified.yaml (diagnose: corrected.yaml, record_next.yaml) and before.yaml, as apply_to was",
     )
-    linger: bool = option(False, "whether the node stays when all is done, for ~/undo and late subscribers")
+    linger: bool = option(False, "whether the node stays when all is done, for late subscribers")
     mode: str = option(
         MODES[0], "identify: refit `free`; diagnose: find the effect that the declared valve lacks", choices=MODES
     )

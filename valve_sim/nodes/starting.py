@@ -1,4 +1,4 @@
-"""Starting and ending a node: parameter files read first, errors in one line, exit codes, signals."""
+"""Starting and ending a node: parameter files read first, errors in one line, exit codes."""
 
 from __future__ import annotations
 
@@ -7,16 +7,15 @@ import importlib
 import inspect
 import itertools
 import os
-import signal
 import sys
 import traceback
-from collections.abc import Callable, Sequence
-from types import FrameType
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, NoReturn
 
 from valve_sim.files.parameter_files import valve_from_flat
 from valve_sim.files.parameter_sections import Section, read_sections
 from valve_sim.model.errors import ParameterError, ValveError
+from valve_sim.nodes.ending import Signals
 
 if TYPE_CHECKING:
     from valve_sim.nodes.wiring import RosNode
@@ -79,22 +78,19 @@ class Program(NamedTuple):
         if _asks_for_help(arguments):
             print(inspect.cleandoc(self.usage))
             return 0
-        signals, node = _Signals(), None
+        signals, node = Signals(self.unstarted), None
         try:
             given = read_files(arguments)
             rclpy_init(arguments)
             node = _made(self.place, given, self.needs)
-            signals.is_starting = False
         except ValveError as error:
             print(f"{self.name}: {error}", file=sys.stderr)
             return UNUSABLE_INPUT
-        except (Exception, KeyboardInterrupt):
-            if signals.is_starting:
-                raise
         finally:
             if node is None and (module := sys.modules.get("rclpy")) is not None:
                 module.try_shutdown()
-        return self.unstarted if node is None else _spin(self.name, node)
+        signals.stop = node.stop
+        return _run(self.name, node)
 
     @property
     def usage(self) -> str:
@@ -161,7 +157,8 @@ def rclpy_init(arguments: Sequence[str]) -> None:
         ParameterError: ROS cannot use the command line or its surroundings.
     """
     try:
-        rclpy().init(args=list(arguments))
+        options = importlib.import_module("rclpy.signals").SignalHandlerOptions
+        rclpy().init(args=list(arguments), signal_handler_options=options.NO)  # they are `Signals`'
     except Exception as error:  # rclpy has several exceptions here, not all of them public
         first_line = str(error).splitlines()[0] if str(error) else ""
         mend = "; set ROS_LOG_DIR to a folder that can be written" if "log" in str(error).lower() else ""
@@ -186,18 +183,10 @@ def _made(place: str, given: GivenFiles, needs: Extra | None) -> RosNode[Any]:
     return made
 
 
-def _spin(name: str, node: RosNode[Any]) -> int:
-    shutdown_seen = importlib.import_module("rclpy.executors").ExternalShutdownException
+def _run(name: str, node: RosNode[Any]) -> int:
     try:
-        node.spin()
-    except shutdown_seen:
-        pass
-    except Exception:
-        # A signal shuts ROS down during a callback, which may then fail with any exception.
-        if rclpy().ok():
-            raise
+        node.run()
     finally:
-        _on_signals(signal.SIG_IGN)
         has_ended = node.close(STOP_SECONDS)
         rclpy().try_shutdown()
         if not has_ended:
@@ -216,25 +205,3 @@ def _end_at_once(code: int) -> NoReturn:
         with contextlib.suppress(OSError, ValueError):
             stream.flush()
     os._exit(code)
-
-
-class _Signals:
-    """SIGINT and SIGTERM: while a node starts, they end that; later only ROS is told, whose handlers call these.
-
-    Python's own answer to Ctrl-C is an exception at whatever place is reached, also within a callback or a message that
-    ROS is just making: it came up as another error, or not at all.
-    """
-
-    def __init__(self) -> None:
-        self.is_starting = True
-        _on_signals(self._take)
-
-    def _take(self, number: int, frame: FrameType | None) -> None:
-        if self.is_starting:
-            self.is_starting = False
-            raise KeyboardInterrupt
-
-
-def _on_signals(action: signal.Handlers | Callable[[int, FrameType | None], None]) -> None:
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, action)

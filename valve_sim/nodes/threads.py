@@ -2,43 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
-import gc
 import threading
 from collections.abc import Callable
 
-from valve_sim.model import Stepper, Valve
-
 Fail = Callable[[Exception], None]
 """Told what went wrong in a thread, which ends then. What goes wrong in one that is to end anyway is not told."""
-
-
-class StopRequest:
-    """Whether the main thread shall end its work, and why.
-
-    A signal handler may ask for it. Of `threading.Event` the thread that it interrupts may just hold the inner lock,
-    and the handler would wait for that forever.
-
-    Attributes:
-        why: the first reason given; empty while there is none.
-    """
-
-    def __init__(self) -> None:
-        self.why = ""
-        self._unasked = threading.Lock()
-        self._unasked.acquire()
-
-    def ask(self, why: str) -> None:
-        """Ask the main thread to end its work; from any thread, and from a signal handler."""
-        self.why = self.why or why
-        with contextlib.suppress(RuntimeError):  # of a lock that is free: it was asked for before
-            self._unasked.release()
-
-    def wait(self, seconds: float | None = None) -> bool:
-        """Return when it is asked for, or after so many seconds; whether it is."""
-        if not self.why:
-            self._unasked.acquire(timeout=-1.0 if seconds is None else seconds)
-        return bool(self.why)
 
 
 class StoppableThread(threading.Thread):
@@ -85,20 +53,3 @@ class Repeating(StoppableThread):
     def _repeat(self) -> None:
         while not self._stopping.wait(self._pause()):
             self._act()
-
-
-def load_stepper(valve: Valve) -> None:
-    """Have every function at hand that a valve is stepped by."""
-    stepper = Stepper(valve)
-    stepper.command(1e-3, valve.parameters.reference_voltage)
-    stepper.set_valve(valve, 2e-3)
-    if valve.gas is not None:
-        stepper.supply(2e-3, valve.gas.inlet_pressure)
-        stepper.set_demand_pressure(2e-3, valve.gas.demand_pressure)
-    stepper.advance(3e-3)
-    keep_loaded()
-
-
-def keep_loaded() -> None:
-    """Let what is loaded stay; collecting it as garbage would stop the thread that steps for tens of milliseconds."""
-    gc.freeze()

@@ -104,7 +104,6 @@ IDENTIFICATION: Final = (
     Topic("~/residual", _FLOAT, "out", "measured less predicted position, or else current", "m or A", DEEP),
     Topic("~/result", _TEXT, "out", "the report in JSON, when it is known", qos=LATCHED),
     Topic("/diagnostics", _DIAGNOSTICS, "out", "replay and identification, at 1 Hz", qos=DEEP),
-    _service("~/undo", "gives the valve of apply_to its own values back"),
 )
 MONITOR: Final = (
     Topic("{valve}/coil_voltage", _FLOAT, "in", "the commands", "V", DEEP),
@@ -117,8 +116,7 @@ MONITOR: Final = (
     Topic("{sensors}/{end}", _PRESSURE, "in", "what a real valve's sensors say", "Pa", SENSOR),
     Topic("~/predicted/joint_states", _JOINTS, "out", "what the model says at each sample", _OF_JOINTS),
     Topic("~/residual", _FLOAT, "out", "measured less predicted position, or else current", "m or A"),
-    Topic("~/stroke_report", _TEXT, "out", "each stroke, in JSON"),
-    Topic("~/stroke_diagnostics", _DIAGNOSTICS, "out", "the figures of each stroke, to be plotted"),
+    Topic("~/stroke_report", _DIAGNOSTICS, "out", "the figures of each stroke"),
     Topic("~/finding", _DIAGNOSTICS, "out", "what has changed, after an alarm", qos=LATCHED),
     Topic("/diagnostics", _DIAGNOSTICS, "out", "valve, model, input and fault isolation, at 1 Hz"),
     _service("~/recommission", "takes the next strokes as the new baseline"),

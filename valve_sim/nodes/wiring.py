@@ -1,33 +1,30 @@
 """What every node is made with: its parameters and its topics, each by its table.
 
-Nodes that command coils have in common that a signal only ends their work, and that 0 V is the last command of all.
+Of each node the main thread works, or waits for the end; another answers ROS. So a signal never waits for a callback,
+and ROS is there until the last command, 0 V, is heard.
 """
 
 from __future__ import annotations
 
 import importlib
-import inspect
-import signal
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from types import FrameType
 from typing import Any, Generic, Protocol
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
-from rclpy.callback_groups import CallbackGroup
 from rclpy.executors import ExternalShutdownException
 from rclpy.expand_topic_name import expand_topic_name
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.signals import uninstall_signal_handlers
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
 from valve_sim.files.parameter_sections import Section
 from valve_sim.model import ParameterError
 from valve_sim.nodes.diagnostics import Status
+from valve_sim.nodes.ending import StopRequest
 from valve_sim.nodes.messages import diagnostic_array
 from valve_sim.nodes.node_clock import NodeClock
 from valve_sim.nodes.parameters import (
@@ -42,7 +39,7 @@ from valve_sim.nodes.parameters import (
 )
 from valve_sim.nodes.receiving import Inbox, Source, Take
 from valve_sim.nodes.spinning import every, guarded, spin, wait_until_heard
-from valve_sim.nodes.threads import Fail, StoppableThread, StopRequest
+from valve_sim.nodes.threads import Fail, StoppableThread
 from valve_sim.nodes.topics import Qos, Topic
 
 
@@ -139,17 +136,15 @@ class Interface:
         topic = self._topics[name, "in"]
         return inbox.subscribe(kind_of(topic.type), self._filled(name, places), take, profile(topic.qos))
 
-    def serve(self, name: str, answer: Callable[[], Any], group: CallbackGroup | None = None, **places: str) -> None:
-        """Answer a Trigger: `answer`, which may be a coroutine, says whether it was done, and what to say."""
+    def serve(self, name: str, answer: Callable[[], tuple[bool, str]], **places: str) -> None:
+        """Answer a Trigger: `answer` says whether it was done, and what to say."""
         ask = guarded(answer)
 
-        async def respond(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-            found = ask()
-            response.success, response.message = await found if inspect.isawaitable(found) else found
+        def respond(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            response.success, response.message = ask()
             return response
 
-        kind = kind_of(self._topics[name, "service"].type)
-        self._node.create_service(kind, self._filled(name, places), respond, callback_group=group)
+        self._node.create_service(kind_of(self._topics[name, "service"].type), self._filled(name, places), respond)
 
     def _filled(self, name: str, places: Mapping[str, str]) -> str:
         return name.format(**self._places, **places)
@@ -198,24 +193,37 @@ class RosNode(Generic[S]):
         self._settings: S = settings.of(self._initial_values)
         self._interface = Interface(self._node, topics)
         self._exit_code = 0
+        self.stop = StopRequest()
         self._threads: list[Stops] = []
         """What is asked to end at the node's end, in this order."""
+        self._answering = _Answering(self._node, self.stop.ask, self._fail)
 
     @property
     def exit_code(self) -> int:
         """0, or 1 if the node failed."""
         return self._exit_code
 
-    def spin(self) -> None:
-        """Run until ROS is shut down."""
-        spin(self._node)
+    def run(self) -> None:
+        """Answer ROS in a thread, and work in this one, until that is done or the node is asked to stop."""
+        self._answering.start()
+        try:
+            self._work()
+        finally:
+            self._finish()
+
+    def _work(self) -> None:
+        """What the node does in its main thread."""
+        self.stop.wait()
+
+    def _finish(self) -> None:
+        """What it does after its work, whatever ended that; ROS is still there."""
 
     def close(self, timeout: float) -> bool:
         """Ask all threads to end and release the node; whether each has ended within `timeout`, s.
 
         A thread that calculates for longer finds no node any more, and ends with the process.
         """
-        have_ended = [thread.stop(timeout) for thread in self._threads]
+        have_ended = [thread.stop(timeout) for thread in (*self._threads, self._answering)]
         self._node.destroy_node()
         return all(have_ended)
 
@@ -238,39 +246,23 @@ class RosNode(Generic[S]):
         return diagnostic_array(statuses, self._node.get_fully_qualified_name(), stamp)
 
     def _fail(self, error: Exception) -> None:
-        """End the node, whichever of its threads cannot go on."""
-        self._log_failure(error)
-        self._node.context.try_shutdown()
-
-    def _log_failure(self, error: Exception) -> None:
+        """End the work, whichever thread cannot go on; ROS stays until the end."""
         if self._node.context.ok():
             self._exit_code = 1
             self._node.get_logger().fatal(f"the node cannot go on: {error!r}")
+        self.stop.ask(f"the node cannot go on: {error!r}")
 
 
-class AnsweringThread(StoppableThread):
-    """Answers ROS (parameters, topics, /clock) until it is stopped, and shuts ROS down then.
-
-    SIGINT and SIGTERM only call `end_work`: a ROS context that they had shut down could not send 0 V any more.
-    """
+class _Answering(StoppableThread):
+    """Answers ROS (parameters, topics, /clock) until it is stopped, and shuts ROS down then."""
 
     def __init__(self, node: Node, end_work: Callable[[str], None], fail: Fail) -> None:
         super().__init__("answering", self._answer, fail)
         self._node, self._end_work = node, end_work
 
-    def start(self) -> None:
-        """Take signals from now on, and answer; to be called in the main thread."""
-        uninstall_signal_handlers()
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._take_signal)
-        super().start()
-
     def wake(self) -> None:
         """Shut ROS down, whose end this thread waits for."""
         self._node.context.try_shutdown()
-
-    def _take_signal(self, number: int, frame: FrameType | None) -> None:
-        self._end_work(f"a signal came ({signal.Signals(number).name})")
 
     def _answer(self) -> None:
         try:
@@ -280,7 +272,7 @@ class AnsweringThread(StoppableThread):
 
 
 class CommandingNode(RosNode[S]):
-    """A node whose main thread works until it is done or told to end, and which then commands 0 V.
+    """A node that commands 0 V at its end.
 
     Whichever thread commands does so under `_commanding`, unless `_is_off`.
     """
@@ -293,23 +285,8 @@ class CommandingNode(RosNode[S]):
         self._commanding = threading.Lock()
         self._is_off = False
         """Whether 0 V has been commanded for good; whoever is still at work then commands nothing."""
-        self._stop = StopRequest()
-        self._answering = AnsweringThread(self._node, self._stop.ask, self._fail)
-        self._threads.append(self._answering)
 
-    def spin(self) -> None:
-        """Work until that is done or a signal comes; 0 V is the last command to every coil."""
-        self._answering.start()
-        try:
-            self._work()
-        finally:
-            self._switch_off()
-
-    def _work(self) -> None:
-        """What the node does in its main thread, until it is asked to stop."""
-        self._stop.wait()
-
-    def _switch_off(self) -> None:
+    def _finish(self) -> None:
         """Command 0 V to every coil for good, and wait until that is heard."""
         with self._commanding:
             self._is_off = True
@@ -318,8 +295,3 @@ class CommandingNode(RosNode[S]):
             for voltage in self._voltages:
                 voltage.publish(Float64(data=0.0))
         wait_until_heard(self._voltages)
-
-    def _fail(self, error: Exception) -> None:
-        """End the work, whichever thread cannot go on; ROS stays, so that 0 V can still be sent."""
-        self._log_failure(error)
-        self._stop.ask(f"the node cannot go on: {error!r}")

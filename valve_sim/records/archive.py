@@ -67,7 +67,8 @@ class Archive:
             address = f"{self._path.absolute().as_uri()}?mode={'rwc' if is_written else 'ro'}"
             if is_written:
                 folder.mkdir(parents=True, exist_ok=True)
-            self._base = sqlite3.connect(address, timeout=2.0, uri=True)
+            # Made and closed by the thread that starts a node, written by the one that answers ROS.
+            self._base = sqlite3.connect(address, timeout=2.0, uri=True, check_same_thread=False)
             if is_written:
                 self._base.execute("PRAGMA journal_mode=WAL")
                 self._base.execute("PRAGMA synchronous=FULL")  # a commit is on the disk: power cuts lose no row

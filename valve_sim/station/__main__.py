@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from valve_sim.nodes import quiet_start  # noqa: F401 -- first, for its effect
+from valve_sim.nodes import ending  # noqa: F401 -- first, for its effect
 from valve_sim.nodes.starting import Extra, Program, chosen
 
 opcua_node: Final = Program(

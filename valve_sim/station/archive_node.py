@@ -127,12 +127,13 @@ class ArchiveNode(RosNode[ArchiveSettings]):
 
     def close(self, timeout: float) -> bool:
         """Write what waits, and release everything."""
+        has_ended = super().close(timeout)
         try:
             self._keeper.write()
         except ValveError as error:
             print(f"archive_node: what was not written yet is lost: {error}")
         self._archive.close()
-        return super().close(timeout)
+        return has_ended
 
     def _note_service(self, valve: str) -> tuple[bool, str]:
         self._ear.look()  # strokes that came before

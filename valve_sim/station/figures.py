@@ -1,6 +1,6 @@
 """The one table of what an OPC UA client sees of a valve, and how it follows from what monitors and valves say.
 
-Knows neither OPC UA nor ROS: reports are the JSON of a monitor's topics, values are plain Python.
+Knows neither OPC UA nor ROS: reports are the keys and values of a monitor's topics, values are plain Python.
 """
 
 from __future__ import annotations
@@ -9,9 +9,9 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from datetime import datetime, timezone
-from typing import Any, Final, Literal, NamedTuple
+from typing import Final, Literal, NamedTuple
 
-from valve_sim.nodes.heard import count_of, moment_of, number_of, read_report, text_of
+from valve_sim.nodes.heard import count_of, moment_of, number_of, text_of
 from valve_sim.nodes.valve_parameters import unit_of
 
 Kind = Literal["Double", "Int32", "Boolean", "String"]
@@ -117,6 +117,7 @@ def unit_words(unit: str) -> str:
 
 _LONGEST: Final = 2000
 """Characters of a text."""
+_MOST_SCORES: Final = 3
 
 
 class Report(NamedTuple):
@@ -141,27 +142,27 @@ def shown(group: str, told: Mapping[str, object]) -> Values:
     return {figure.path: _checked(figure, told) for figure in FIGURES if figure.group == group}
 
 
-def stroke_report(text: str) -> Report:
-    """What a monitor's ~/stroke_report says.
+def stroke_report(summary: str, found: Mapping[str, str]) -> Report:
+    """What a monitor's ~/stroke_report says; of its scores the largest are shown.
 
     Raises:
         UnusableMessageError: it is no such report.
     """
-    found = read_report(text, "valve_sim/stroke/1")
-    alarm, scores = _mapping(found.get("alarm")), _mapping(found.get("scores"))
+    scores = {name.removeprefix("scores."): number_of(found, name) or 0.0 for name in found if name[:7] == "scores."}
+    largest = sorted(scores, key=lambda name: -abs(scores[name]))[:_MOST_SCORES]
     told: dict[str, object] = {
         **found,
         "number": count_of(found, "stroke"),
         "residual": _scaled(number_of(found, "residual_rms_um"), 1e-6),
         "current_residual": _scaled(number_of(found, "residual_rms_ma"), 1e-3),
-        "score": alarm.get("sum"),
-        "threshold": alarm.get("threshold"),
-        "cause": alarm.get("cause"),
-        "score_names": list(scores),
-        "scores": list(scores.values()),
+        "score": found.get("alarm.sum"),
+        "threshold": found.get("alarm.threshold"),
+        "cause": found.get("alarm.cause"),
+        "score_names": list(largest),
+        "scores": [scores[name] for name in largest],
     }
-    for name, interval in _mapping(found.get("damping")).items():
-        told[name], told[f"{name}_stderr"] = (_mapping(interval).get(key) for key in ("value", "stderr"))
+    for name in ("pilot_damping", "main_damping"):
+        told[name], told[f"{name}_stderr"] = (found.get(f"damping.{name}.{key}") for key in ("value", "stderr"))
     return Report(text_of(found, "valve"), utc(moment_of(found)), shown("Stroke", told))
 
 
@@ -204,10 +205,6 @@ def _checked(figure: Figure, told: Mapping[str, object]) -> object:
         number = number_of(told, figure.column, -(2.0**31), 2.0**31 - 1.0)
         return None if number is None else int(number)
     return number_of(told, figure.column)
-
-
-def _mapping(found: object) -> Mapping[str, Any]:
-    return found if isinstance(found, Mapping) else {}
 
 
 def _scaled(value: float | None, factor: float) -> float | None:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from functools import partial
 from typing import Any, Final
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
-from std_msgs.msg import String
 
 from valve_sim.model.errors import ValveError
 from valve_sim.nodes.node_clock import NodeClock
@@ -41,9 +40,9 @@ class StationEar:
         self._pairs = list(zip(valves, monitors, strict=True))
         self._inbox = Inbox(node, clock)
         for valve, monitor in self._pairs:
-            take = partial(self._take_stroke, valve)
-            interface.receive(self._inbox, "{monitor}/stroke_report", take, monitor=monitor)
-            interface.receive(self._inbox, "{monitor}/finding", partial(self._take_finding, valve), monitor=monitor)
+            for name, read in (("stroke_report", stroke_report), ("finding", finding_report)):
+                take = partial(self._take, valve, read)
+                interface.receive(self._inbox, f"{{monitor}}/{name}", take, monitor=monitor)
             if is_live:
                 hear_live(interface, self._inbox, self._inbox, valve, partial(self._show, valve))
         interface.receive(self._inbox, "/diagnostics", self._diagnose)
@@ -59,19 +58,15 @@ class StationEar:
         received = arrival.received / NANOSECONDS or time.time()
         self._tell(Report(valve, utc(received), {f"Live.{path}": value}))
 
-    def _take_stroke(self, valve: str, message: String, arrival: Arrival) -> None:
-        self._report(valve, lambda: stroke_report(message.data))
-
-    def _take_finding(self, valve: str, message: DiagnosticArray, arrival: Arrival) -> None:
+    def _take(
+        self, valve: str, read: Callable[[str, Mapping[str, str]], Report], message: DiagnosticArray, _: Arrival
+    ) -> None:
         for status in message.status:
             values = {entry.key: entry.value for entry in status.values}
-            self._report(valve, partial(finding_report, status.message, values))
-
-    def _report(self, valve: str, read: Callable[[], Report]) -> None:
-        try:
-            self._tell(read()._replace(valve=valve))
-        except ValveError as error:
-            self._node.get_logger().warning(f"a report of {valve} is left out: {error}", throttle_duration_sec=10.0)
+            try:
+                self._tell(read(status.message, values)._replace(valve=valve))
+            except ValveError as error:
+                self._node.get_logger().warning(f"a report of {valve} is left out: {error}", throttle_duration_sec=10.0)
 
     def _take_answer(self, message: DiagnosticArray, arrival: Arrival) -> None:
         for status in message.status:

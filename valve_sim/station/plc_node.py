@@ -1,8 +1,8 @@
 """The ROS side of plc_node: a `PlcStation` wired to the topics of its valves. The coils are off at its end.
 
 Threads: the main one takes what was heard, looks at the watchdogs and repeats the commands; Modbus has one of its own,
-which also publishes a command that the PLC has just switched; an `AnsweringThread` answers ROS. Watchdogs go by the
-machine's own clock, also under use_sim_time: a /clock that stands still must not keep a coil energised.
+which also publishes a command that the PLC has just switched. Watchdogs go by the machine's own clock, also under
+use_sim_time: a /clock that stands still must not keep a coil energised.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class PlcNode(CommandingNode[PlcSettings]):
     def _work(self) -> None:
         period, due = 1.0 / self._settings.rate, time.monotonic()
         repeat_at = look_at = count_at = due
-        while not self._stop.wait(max(0.0, due - time.monotonic())):
+        while not self.stop.wait(max(0.0, due - time.monotonic())):
             now = time.monotonic()
             self._inbox.deliver()
             if now >= look_at:

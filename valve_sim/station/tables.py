@@ -18,7 +18,7 @@ LATEST: Final = Qos(1, is_reliable=False)
 """Of what comes often, the last one is enough."""
 
 SAID: Final = (
-    Topic("{monitor}/stroke_report", "std_msgs/msg/String", "in", "each stroke, in JSON", qos=RELIABLE),
+    Topic("{monitor}/stroke_report", _DIAGNOSTICS, "in", "the figures of each stroke", qos=RELIABLE),
     Topic("{monitor}/finding", _DIAGNOSTICS, "in", "what has changed", qos=LATCHED),
     Topic("/diagnostics", _DIAGNOSTICS, "in", "of valves and monitors", qos=Qos(100)),
 )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from valve_sim.files.channels import JUDGED, SIGNALS, Signal, Signals
 from valve_sim.model.errors import ValveError
-from valve_sim.signals.left_out import LeftOut, bridged, find_left_out, usual_travel
+from valve_sim.signals.left_out import LeftOut, bridged, find_left_out
 from valve_sim.traces.measured_input import MeasuredInput, measured_input
 
 if TYPE_CHECKING:
@@ -114,7 +114,7 @@ class Trace(Signals):
     @cached_property
     def left_out(self) -> LeftOut:
         """Which positions are no measurements, and take part in no fit."""
-        return find_left_out(self.times, self.pilot_position, usual_travel(self.times, self.pilot_position))
+        return find_left_out(self.times, self.pilot_position)
 
     @cached_property
     def usable_position(self) -> NDArray[np.float64]:

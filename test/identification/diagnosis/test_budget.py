@@ -9,8 +9,8 @@ from plants.recording import Recorder, train_profile
 
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose, diagnose_plant
 from valve_sim.identification.fit.budget import DERIVATIVES, STROKES_A_SECOND, Budget
-from valve_sim.identification.reporting.diagnosis_json import to_json
-from valve_sim.identification.reporting.summary import summarise
+from valve_sim.identification.reporting.claims import summarise
+from valve_sim.identification.reporting.diagnosis import diagnosis_document
 from valve_sim.model import ValveError
 
 from ..recordings import Short
@@ -60,7 +60,7 @@ def test_a_diagnosis_keeps_to_its_budget_and_says_what_it_left(strokes: float, p
     assert found.untried
     assert found.work < whole.work
     assert found.allowed == strokes
-    assert to_json(found)["untried"] == list(found.untried)
+    assert diagnosis_document(found).to_json()["untried"] == list(found.untried)
     assert (
         f"{len(found.untried)} sets were left untried, by the budget or because they cannot be simulated"
         in summarise(found)
@@ -74,7 +74,7 @@ def test_with_work_enough_nothing_is_left_and_the_outcome_is_the_same(plant: Sho
     within = diagnose_plant(plant, None, budget=Budget(1e6))
     assert within.untried == ()
     assert within.work == whole.work
-    first, second = to_json(whole), to_json(within)
+    first, second = diagnosis_document(whole).to_json(), diagnosis_document(within).to_json()
     assert first.keys() == second.keys()
     assert {name for name in first if first[name] != second[name]} <= {"budget", "work", "allowed"}
 

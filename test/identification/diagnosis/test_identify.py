@@ -26,7 +26,7 @@ from valve_sim.identification.fit.findings import (
     StampErrors,
 )
 from valve_sim.identification.fit.intervals import Unbounded
-from valve_sim.identification.reporting.identification import identification_json, identification_text
+from valve_sim.identification.reporting.identification import identification_document
 from valve_sim.model import ParameterError, Valve
 
 EXACT_VALVE = default_valve().exact()
@@ -67,7 +67,7 @@ def test_both_dampings_come_out(recorder: Recorder) -> None:
 
 
 def test_the_reference_names_what_the_report_has(opening: Opening) -> None:
-    report = identification_json(opening.result)
+    report = identification_document(opening.result).to_json()
     page = (Path(__file__).parents[3] / "docs" / "reference" / "report_json.md").read_text(encoding="utf-8")
     of_identify = page.split("## The report of identify")[1].split("\n## ")[0]
     named = set(re.findall(r"`(\w+)`", of_identify))
@@ -90,7 +90,7 @@ def test_one_opening_holds_the_main_damping_and_not_the_pilots(opening: Opening)
     assert main.high - main.low < 0.15 * TRUTH["main_damping"]
     assert pilot.high - pilot.low > 3.0 * (main.high - main.low) / TRUTH["main_damping"] * TRUTH["pilot_damping"]
     assert result.findings == (LooselyDetermined("pilot_damping", pilot.low, pilot.high, "N·s/m"),)
-    profile = identification_json(result)["profiles"]["pilot_damping"]
+    profile = identification_document(result).to_json()["profiles"]["pilot_damping"]
     assert max(point["rise"] for point in profile) > 3.8
     assert profile[-1]["value"] - profile[0]["value"] > pilot.high - pilot.low - 0.05
 
@@ -122,7 +122,7 @@ def test_a_parameter_on_its_bound_is_said_to_be_there() -> None:
 def test_several_bags_make_one_fit() -> None:
     traces = [recorded(seed=seed) for seed in (1, 2)]
     alone, together = identify(traces[:1], EXACT_VALVE), identify(traces, EXACT_VALVE)
-    assert len(identification_json(together)["clock_offsets_us"]) == 2
+    assert len(identification_document(together).to_json()["clock_offsets_us"]) == 2
     assert together.sources == ("seed 1", "seed 2")
     for name, truth in TRUTH.items():
         assert together.intervals[name].stderr == pytest.approx(alone.intervals[name].stderr / 2.0**0.5, rel=0.1)
@@ -180,9 +180,10 @@ def test_progress_is_told_and_the_report_is_json(opening: Opening) -> None:
     assert fractions[0] == 0.0
     assert fractions[-1] == 1.0
     assert (
-        json.loads(json.dumps(identification_json(result), allow_nan=False))["schema"] == "valve_sim/identification/1"
+        json.loads(json.dumps(identification_document(result).to_json(), allow_nan=False))["schema"]
+        == "valve_sim/identification/1"
     )
-    assert "pilot_damping" in identification_text(result)
+    assert "pilot_damping" in identification_document(result).to_text()
 
 
 def test_stamps_of_commands_that_scatter_are_estimated_along() -> None:
@@ -199,7 +200,7 @@ def test_stamps_of_commands_that_scatter_are_estimated_along() -> None:
 def test_what_a_model_lacks_is_said_or_that_errors_of_the_recording_may_be_that(force: float) -> None:
     result = identify([recorded(effects={"coulomb_friction": {"force": force}})], EXACT_VALVE)
     (said,) = (own for own in result.findings if isinstance(own, (LacksSomething, ExplainedByErrors)))
-    assert "`diagnose`" in identification_text(result)
+    assert "`diagnose`" in identification_document(result).to_text()
     # What the model lacks is not told as the state of a recording.
     assert isinstance(said, ExplainedByErrors) == bool(result.recording)
 
@@ -216,8 +217,10 @@ def test_errors_of_a_recording_are_estimated_along() -> None:
     assert scale.stderr < 0.001
     for name, truth in TRUTH.items():
         assert result.intervals[name].low < truth < result.intervals[name].high
-    assert "gain of the sensor" in identification_text(result)
-    (entry,) = (own for own in identification_json(result)["recording"][trace.source] if own["error"] == "scale")
+    assert "gain of the sensor" in identification_document(result).to_text()
+    (entry,) = (
+        own for own in identification_document(result).to_json()["recording"][trace.source] if own["error"] == "scale"
+    )
     assert entry["size"] == pytest.approx(100.0 * scale.size)
 
 

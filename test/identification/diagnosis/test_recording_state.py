@@ -17,10 +17,9 @@ from valve_sim.files.json_text import plain
 from valve_sim.identification.diagnosis.recording_state import state_of_recording
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.reporting.diagnosis_json import to_json
-from valve_sim.identification.reporting.html import write_report
-from valve_sim.identification.reporting.recording_state import state_json, state_lines
-from valve_sim.identification.reporting.text import diagnosis_text
+from valve_sim.identification.reporting.diagnosis import diagnosis_document
+from valve_sim.identification.reporting.page import write_page
+from valve_sim.identification.reporting.recording_state import recording_document
 from valve_sim.model import ParameterError
 from valve_sim.traces import Trace
 
@@ -95,7 +94,7 @@ def test_each_error_comes_out_with_its_size(laboratory: str, found: Diagnosis) -
 
 
 def test_reports_say_the_state_of_the_recording(laboratory: str, found: Diagnosis, tmp_path: Path) -> None:
-    entries = json.loads(json.dumps(to_json(found), allow_nan=False))["recording"]
+    entries = json.loads(json.dumps(diagnosis_document(found).to_json(), allow_nan=False))["recording"]
     assert set(entries) == {"train.mcap", "other.mcap"}
     names = [entry["error"] for entry in entries["train.mcap"]]
     assert {"clock_offset", "clock_rate", "drift", "hum", "scale", "bend", "supply", "stroke_variation"} <= set(names)
@@ -104,9 +103,10 @@ def test_reports_say_the_state_of_the_recording(laboratory: str, found: Diagnosi
         assert 0.0 <= entry["probability"] <= 1.0
         assert entry["what_to_do"]
         assert len(entry["ci95"]) == 2
-    words = diagnosis_text(found)
+    document = diagnosis_document(found)
+    words = document.to_text()
     assert "State of the recording train.mcap" in words
-    write_report(found, tmp_path / "report.html")
+    write_page(document, tmp_path / "report.html")
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     for name in LABORATORIES[laboratory][1]:
         assert f'<code class="code">{name}</code>' in page
@@ -151,11 +151,11 @@ def test_a_state_says_what_errors_cost_and_what_to_do() -> None:
     there = {entry.error for entry in state.errors if entry.is_likely}
     assert {"hum", "stroke_variation"} <= there
     assert state.limits["coulomb_friction"]["force"] > 1.1 * state.without_errors["coulomb_friction"]["force"]
-    words = "\n".join(state_lines(state))
+    words = recording_document(state).to_text()
     assert "hum of the mains" in words
-    assert "ground the sensor at one point" in words
-    assert "record more strokes" in words
-    entries = json.loads(json.dumps(plain(state_json(state)), allow_nan=False))
+    assert "Ground the sensor at one point" in words
+    assert "Record more strokes" in words
+    entries = json.loads(json.dumps(plain(recording_document(state).to_json()), allow_nan=False))
     assert {"drift", "hum", "stroke_variation"} <= {entry["error"] for entry in entries["recording"]}
 
 
@@ -164,5 +164,5 @@ def test_no_state_is_told_beside_a_model_that_lacks_something() -> None:
     trace = measured(Laboratory(), "train", coulomb_friction={"force": 0.3})
     state = state_of_recording(trace, DECLARED)
     assert not state.errors
-    first, *_ = state_lines(state)
-    assert "cannot be told from what the declared model lacks" in first
+    _, second, *_ = recording_document(state).to_text().splitlines()
+    assert "cannot be told from what the declared model lacks" in second

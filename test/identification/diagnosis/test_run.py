@@ -11,10 +11,9 @@ from plants.recording import Profile, Recorder, holdout_profile, single_opening,
 from identification.recordings import recorded
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
 from valve_sim.identification.fit.intervals import Unbounded
-from valve_sim.identification.reporting.diagnosis_json import to_json
+from valve_sim.identification.reporting.claims import recording_advice
+from valve_sim.identification.reporting.diagnosis import diagnosis_document
 from valve_sim.identification.reporting.recording_state import UNTOLD
-from valve_sim.identification.reporting.summary import recording_advice
-from valve_sim.identification.reporting.text import diagnosis_text
 from valve_sim.model import CATALOGUE, Tolerances, Valve
 from valve_sim.model.tolerances import SensorTolerances
 from valve_sim.traces import Trace
@@ -76,7 +75,7 @@ def test_the_missing_effect_is_named_and_removes_the_residual(name: str, paramet
     for parameter, truth in parameters.items():
         interval = diagnosis.after.intervals[f"{name}.{parameter}"]
         assert abs(interval.value - truth) < 4.0 * interval.stderr
-    report = to_json(diagnosis)
+    report = diagnosis_document(diagnosis).to_json()
     assert json.loads(json.dumps(report, allow_nan=False))["verdict"]["effects"] == [name]
     assert dict(diagnosis.valve.effects) == {
         name: {key: diagnosis.after.fit.values[f"{name}.{key}"] for key in parameters}
@@ -111,9 +110,9 @@ def test_two_missing_effects_are_both_named() -> None:
 def test_the_outcome_does_not_depend_on_the_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     film = {"squeeze_film": {"coefficient": 5.0, "film_thickness": 3e-5}}
     monkeypatch.setattr(os, "cpu_count", lambda: 4)
-    with_four = to_json(diagnosed(film, 12))
+    with_four = diagnosis_document(diagnosed(film, 12)).to_json()
     monkeypatch.setattr(os, "cpu_count", lambda: 1)
-    assert to_json(diagnosed(film, 12)) == with_four
+    assert diagnosis_document(diagnosed(film, 12)).to_json() == with_four
 
 
 @pytest.mark.long
@@ -122,7 +121,7 @@ def test_what_has_no_name_gets_none() -> None:
     assert diagnosis.verdict.kind == "unknown"
     assert diagnosis.verdict.probability == diagnosis.verdict.unnamed > 0.99
     assert diagnosis.unexplained is not None
-    assert to_json(diagnosis)["unexplained"]["force_rms_n"] > 0.0
+    assert diagnosis_document(diagnosis).to_json()["unexplained"]["force_rms_n"] > 0.0
 
 
 @pytest.mark.long
@@ -134,7 +133,7 @@ def test_what_shows_in_held_out_data_alone_is_not_nothing() -> None:
     assert diagnosis.verdict.kind == "unknown"
     assert diagnosis.unexplained is not None
     # What has no name would be told as the state of the recording.
-    assert UNTOLD in diagnosis_text(diagnosis)
+    assert UNTOLD in diagnosis_document(diagnosis).to_text()
     opening = measured({}, single_opening(), recorder, 82)
     assert diagnose([opening], [held_out], DECLARED).verdict.kind == "unknown"
 
@@ -176,4 +175,4 @@ def test_one_opening_is_not_enough() -> None:
     diagnosis = diagnose([trace], [], DECLARED)
     assert diagnosis.verdict.kind == "insufficient"
     assert "7.5 to 14 V" in recording_advice(diagnosis)
-    assert to_json(diagnosis)["after"]["rmse_um"]["holdout"] is None
+    assert diagnosis_document(diagnosis).to_json()["after"]["rmse_um"]["holdout"] is None

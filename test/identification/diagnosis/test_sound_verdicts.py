@@ -14,8 +14,8 @@ from benchmarks.campaign.hard import CAMPAIGN, cases
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose, diagnose_plant
 from valve_sim.identification.plants.protocol import Array, Channel, EffectChoice, ForceMap, Nuisance, Role
-from valve_sim.identification.reporting.diagnosis_json import to_json
-from valve_sim.identification.reporting.summary import recording_advice, summarise
+from valve_sim.identification.reporting.claims import recording_advice, summarise
+from valve_sim.identification.reporting.diagnosis import diagnosis_document
 from valve_sim.model import Drive, Parameter
 from valve_sim.model.effects import basis
 from valve_sim.traces import Signal
@@ -128,7 +128,7 @@ def test_a_user_s_only_channel_counts_whatever_its_kind(
     assert found.before.train_rmse > 2.0 * found.after.train_rmse
     assert found.after.holdout_rmse == pytest.approx(0.01, rel=0.1)
     assert "V" not in summarise(found)
-    report = to_json(found)
+    report = diagnosis_document(found).to_json()
     assert report["unit"] == shown
     assert {name for name in report["after"] if name.startswith("rmse")} == {"rmse", key}
     assert report["after"][key]["train"] == pytest.approx(scale * found.after.train_rmse)

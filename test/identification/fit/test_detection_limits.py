@@ -22,9 +22,7 @@ from valve_sim.identification.fit.problem import Problem
 from valve_sim.identification.fit.search import Search
 from valve_sim.identification.plants.protocol import Array, EffectChoice, Nuisance
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.reporting.diagnosis_json import to_json
-from valve_sim.identification.reporting.text import diagnosis_text
-from valve_sim.identification.reporting.wording import limit_rows
+from valve_sim.identification.reporting.diagnosis import diagnosis_document
 from valve_sim.model import Parameter, Valve
 
 SIGMA = 0.02 * float(CAMPAIGN_VALVE["coil_time_constant"])  # type: ignore[arg-type]
@@ -137,9 +135,8 @@ def test_a_report_that_nothing_is_missing_says_what_would_have_shown() -> None:
     trace = as_trace(record(DeclaredPlant(), train_profile(), Recorder(), 8), "train")
     found = diagnose_plant(Short([trace], EXACT, ["coulomb_friction"]), None)
     assert found.verdict.kind == "none"
-    limits = to_json(found)["detection_limits"]
+    limits = diagnosis_document(found).to_json()["detection_limits"]
     assert set(limits) == set(found.plant.effects)
     assert 0.5e-3 < limits["coulomb_friction"]["force"] < 5e-3
-    shown = dict(limit_rows(found))["Coulomb friction"]
-    assert shown.startswith(f"{limits['coulomb_friction']['force']:.5f}"[:6])
-    assert f"Coulomb friction {shown}" in " ".join(diagnosis_text(found).split())
+    shown = f"Coulomb friction {limits['coulomb_friction']['force']:.5f}"[:-1]
+    assert shown in " ".join(diagnosis_document(found).to_text().split())

@@ -11,7 +11,7 @@ from valve_sim.files.parameter_files import default_valve, load_valve, save_valv
 from valve_sim.files.tables import TableError
 from valve_sim.identification.fit.static_force import BeginsLate, StartOfMotion, fit_static_force
 from valve_sim.identification.reporting.findings import remarks
-from valve_sim.identification.reporting.identification import static_force_json
+from valve_sim.identification.reporting.identification import static_force_document
 from valve_sim.model import Tolerances, ValveError
 
 TRUTH = np.array([3.0336, 17.096e3, -30.931e6, 24.026e9])
@@ -83,7 +83,7 @@ def test_the_file_keeps_the_covariance_and_the_other_tolerances(tmp_path: Path):
     assert matrix is not None
     assert matrix[0] == (0.0, 0.0, 0.0, 0.0)
     assert np.sqrt(matrix[1][1]) == pytest.approx(found.intervals["a1"].stderr)
-    assert static_force_json(found)["attraction_covariance"] == [value for row in matrix for value in row]
+    assert static_force_document(found).to_json()["attraction_covariance"] == [value for row in matrix for value in row]
 
 
 def test_constant_term_is_said_to_start_the_motion(tmp_path: Path):

@@ -14,7 +14,8 @@ from valve_sim.identification.fit.findings import LacksSomething
 from valve_sim.identification.fit.held_out import HeldOut, machine_values
 from valve_sim.identification.fit.problem import Problem
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.reporting.declared_values import TAKEN_AS_EXACT, declared_lines
+from valve_sim.identification.reporting.document import Document
+from valve_sim.identification.reporting.values import TAKEN_AS_EXACT, declared_section
 from valve_sim.identification.validation.replay import validate
 from valve_sim.model import EXACT, Valve
 
@@ -117,5 +118,5 @@ def test_what_is_off_by_more_than_three_tolerances_is_said(identified):
     assert out_of_tolerance(identified.declared) == []
     off = identified.declared[0]._replace(deviation=-3.2)
     assert out_of_tolerance([off, *identified.declared[1:]]) == [off.name]
-    assert "not 0.109: 3.2 tolerances." in "\n".join(declared_lines([off]))
-    assert declared_lines([]) == [TAKEN_AS_EXACT]
+    assert "not 0.109: 3.2 tolerances." in Document("", [declared_section([off])]).to_text()
+    assert Document("", [declared_section([])]).to_text().splitlines()[1:] == [f"  {TAKEN_AS_EXACT}"]

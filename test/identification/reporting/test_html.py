@@ -17,12 +17,13 @@ from identification.browser import CHROMIUM, Browser
 from identification.recordings import friction_found
 from valve_sim.files.parameter_files import load_valve
 from valve_sim.identification.diagnosis.run import Diagnosis
-from valve_sim.identification.reporting import html as report
-from valve_sim.identification.reporting.curves import StrokeCurves, keep_extremes, strokes_of
+from valve_sim.identification.reporting import strokes as curves
+from valve_sim.identification.reporting.claims import headline, summarise
+from valve_sim.identification.reporting.diagnosis import SHOWN_STROKES, diagnosis_document
 from valve_sim.identification.reporting.files import write_diagnosis
-from valve_sim.identification.reporting.recording_profile import STROKE_LEVELS
-from valve_sim.identification.reporting.summary import summarise
-from valve_sim.identification.reporting.wording import headline
+from valve_sim.identification.reporting.page import write_page
+from valve_sim.identification.reporting.record_next import STROKE_LEVELS
+from valve_sim.identification.reporting.strokes import StrokeCurves, keep_extremes, strokes_of
 from valve_sim.model import CATALOGUE, ValveError
 from valve_sim.traces.synthetic import read_profile
 
@@ -38,7 +39,7 @@ def diagnosis() -> Diagnosis:
 @pytest.fixture
 def page(diagnosis: Diagnosis, tmp_path: Path) -> Path:
     path = tmp_path / "report.html"
-    report.write_report(diagnosis, path, provenance="valve-sim diagnose strokes.mcap")
+    write_page(diagnosis_document(diagnosis, provenance="valve-sim diagnose strokes.mcap"), path)
     return path
 
 
@@ -73,23 +74,23 @@ def test_thinning_keeps_the_extremes_and_the_ends() -> None:
 
 
 def with_strokes(monkeypatch: pytest.MonkeyPatch, strokes: list[StrokeCurves]) -> None:
-    monkeypatch.setattr(report, "strokes_of", lambda _: strokes)
+    monkeypatch.setattr(curves, "strokes_of", lambda _: strokes)
 
 
 def test_a_hundred_strokes_fit_into_eight_megabytes(
     diagnosis: Diagnosis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with_strokes(monkeypatch, (strokes_of(diagnosis) * 7)[:100])
+    with_strokes(monkeypatch, (curves.strokes_of(diagnosis) * 7)[:100])
     path = tmp_path / "report.html"
-    report.write_report(diagnosis, path)
-    assert path.read_text(encoding="utf-8").count("data-stroke=") == 100
+    write_page(diagnosis_document(diagnosis), path)
+    assert path.read_text(encoding="utf-8").count("<figure data-plot=") == 100
     assert path.stat().st_size <= LARGEST_PAGE
 
 
 def test_a_page_that_cannot_be_written_is_one_clear_error(diagnosis: Diagnosis, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(ValveError, match="cannot be written"):
-        report.write_report(diagnosis, tmp_path / "file" / "report.html")
+        write_page(diagnosis_document(diagnosis), tmp_path / "file" / "report.html")
 
 
 def test_all_files_of_a_diagnosis_are_written_and_nothing_else(diagnosis: Diagnosis, tmp_path: Path) -> None:
@@ -164,10 +165,10 @@ def test_the_page_draws_in_a_browser_without_errors_or_requests(
         tree = browser.evaluate("document.documentElement.outerHTML")
         requests = browser.evaluate("performance.getEntriesByType('resource').map(entry => entry.name)")
         errors = browser.errors
-    plots = report.SHOWN_STROKES + len(diagnosis.maps)
+    plots = SHOWN_STROKES + len(diagnosis.maps)
     assert f'data-drawn="{plots}"' in tree
     curves = [int(count) for count in re.findall(r'data-points="(\d+)"', tree)]
-    assert len(curves) == 5 * report.SHOWN_STROKES + len(diagnosis.maps)
+    assert len(curves) == 5 * SHOWN_STROKES + len(diagnosis.maps)
     assert min(curves) > 50
     drawings = re.findall(r"<svg.*?</svg>", tree, re.DOTALL)
     numbers = [axis.count('class="tick"') for drawing in drawings for axis in drawing.split('class="frame"')[:-1]]
@@ -175,6 +176,41 @@ def test_the_page_draws_in_a_browser_without_errors_or_requests(
     assert "NaN" not in tree
     assert errors == []
     assert [url for url in requests if not url.startswith(("file:", "data:"))] == []
+
+
+@pytest.mark.long
+@needs_chromium
+def test_strokes_can_be_compared_and_what_was_tried_sorts(diagnosis: Diagnosis, page: Path, tmp_path: Path) -> None:
+    with Browser(page, tmp_path) as browser:
+        browser.show(1280)
+
+        def curves(name: str) -> int:
+            return int(browser.evaluate(f"document.querySelectorAll('path.{name}').length"))
+
+        before = curves("before")
+        browser.evaluate("document.querySelector('.legend input[value=before]').click()")
+        assert (before, curves("before")) == (2 * SHOWN_STROKES, 0)
+        assert curves("measured") == SHOWN_STROKES
+        browser.evaluate("document.querySelector('.legend input[value=alike]').click()")
+        zoomed = browser.evaluate("""(() => {
+          const [first, second] = document.querySelectorAll("figure svg"), box = first.getBoundingClientRect();
+          first.setPointerCapture = () => {};
+          const at = part => ({clientX: box.left + part * box.width});
+          const drag = (kind, part) => first.dispatchEvent(new PointerEvent(kind, at(part)));
+          const labels = () => second.textContent;
+          const whole = labels();
+          drag("pointerdown", 0.3); drag("pointermove", 0.5); drag("pointerup", 0.5);
+          return whole !== labels();
+        })()""")
+        assert zoomed, "the second stroke has the zoom of the first"
+        gains = """(() => {
+          document.querySelectorAll("table[data-sort] th")[3].click();
+          const rows = [...document.querySelector("table[data-sort]").tBodies[0].rows];
+          return rows.map(row => parseFloat(row.cells[3].textContent.replace("−", "-").replace("<", "")));
+        })()"""
+        first, second = browser.evaluate(gains), browser.evaluate(gains)
+        assert first == sorted(first, reverse=True) and second == first[::-1]
+        assert browser.errors == []
 
 
 @pytest.fixture
@@ -204,7 +240,8 @@ CUT_LABELS = """
 @needs_chromium
 @pytest.mark.parametrize("width", [390, 1280])
 def test_nothing_is_cut_off_on_a_narrow_screen_or_a_wide_one(doubtful: Diagnosis, tmp_path: Path, width: int) -> None:
-    report.write_report(doubtful, tmp_path / "report.html", "Written by: valve-sim diagnose " + "a_long_name/" * 20)
+    document = diagnosis_document(doubtful, provenance="Written by: valve-sim diagnose " + "a_long_name/" * 20)
+    write_page(document, tmp_path / "report.html")
     with Browser(tmp_path / "report.html", tmp_path) as browser:
         browser.show(width)
         browser.evaluate("document.querySelectorAll('details').forEach(folded => { folded.open = true; })")
@@ -225,7 +262,7 @@ def test_what_is_more_likely_wrong_than_right_is_neither_green_nor_found(
     sure = replace(diagnosis, verdict=replace(diagnosis.verdict, probability=0.97))
     shown = {}
     for name, said in (("sure", sure), ("doubtful", doubtful)):
-        report.write_report(said, tmp_path / f"{name}.html")
+        write_page(diagnosis_document(said), tmp_path / f"{name}.html")
         with Browser(tmp_path / f"{name}.html", tmp_path / name) as browser:
             browser.show(1280)
             shown[name] = browser.evaluate(

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from valve_sim.identification.fit.intervals import Interval, Unbounded
-from valve_sim.identification.reporting.findings import remark_on
 from valve_sim.identification.reporting.units import signed
+from valve_sim.identification.reporting.values import remark_on
 
 
 @pytest.mark.parametrize(("value", "words"), [(1.25, "+1.250"), (-0.428, "−0.428"), (-0.0004, "0.000"), (0.0, "0.000")])

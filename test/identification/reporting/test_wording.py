@@ -15,19 +15,19 @@ from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
 from valve_sim.identification.fit.declared_values import DeclaredValue, out_of_tolerance
 from valve_sim.identification.fit.intervals import Interval
 from valve_sim.identification.plants.effect_titles import title_of
-from valve_sim.identification.reporting.declared_values import amount_words, declared_lines, summary_words
-from valve_sim.identification.reporting.diagnosis_json import to_json
-from valve_sim.identification.reporting.summary import recording_advice, summarise
-from valve_sim.identification.reporting.text import diagnosis_text
-from valve_sim.identification.reporting.units import amount, gain_words, limits, measured, quantity
-from valve_sim.identification.reporting.wording import (
+from valve_sim.identification.reporting.claims import (
+    certainty,
     headline,
-    kind_words,
+    meaning_entry,
     meanings,
-    percent,
+    recording_advice,
     rounding_words,
-    told_amounts,
+    summarise,
 )
+from valve_sim.identification.reporting.diagnosis import diagnosis_document
+from valve_sim.identification.reporting.document import Words
+from valve_sim.identification.reporting.units import amount, gain_words, limits, measured, percent, quantity
+from valve_sim.identification.reporting.values import amount_words, declared_section, summary_words
 from valve_sim.model import CATALOGUE
 from valve_sim.model.effects.entry import Severity
 
@@ -111,15 +111,15 @@ def test_nothing_is_advised_where_nothing_is_open(diagnosis: Diagnosis) -> None:
     certain = replace(diagnosis, verdict=replace(diagnosis.verdict, confusable_with={"coulomb_friction": ()}))
     assert not certain.verdict.is_open
     assert recording_advice(certain) == ""
-    assert to_json(certain)["record_next"] is None
+    assert diagnosis_document(certain).to_json()["record_next"] is None
 
 
 def test_the_terminal_says_title_amount_unit_and_what_to_do(diagnosis: Diagnosis) -> None:
-    text = diagnosis_text(diagnosis)
+    text = diagnosis_document(diagnosis).to_text()
     entry = CATALOGUE["coulomb_friction"]
     assert text.replace("\n", "").isprintable(), "a terminal would show marks in place of some letters"
     assert text.startswith("effects: The model lacks Coulomb friction: 0.100")
-    assert "Coulomb friction (coulomb_friction): friction force 0.100" in text
+    assert "  Coulomb friction (coulomb_friction)\n    How much: friction force 0.100" in text
     for words in (" N, 4 % of the spring preload", entry.on_a_real_valve, entry.what_to_do):
         assert words in text
     values = [line for line in text.splitlines() if " ± " in line and ":" not in line]
@@ -129,18 +129,18 @@ def test_the_terminal_says_title_amount_unit_and_what_to_do(diagnosis: Diagnosis
 
 def test_a_guess_is_called_a_guess(diagnosis: Diagnosis) -> None:
     guess = replace(diagnosis, verdict=replace(diagnosis.verdict, probability=0.38, confusable_with={}))
-    assert kind_words(guess.verdict) == ("A first guess, more likely wrong than right", False)
+    assert certainty(guess.verdict) == ("A first guess, more likely wrong than right", False)
     assert headline(guess).startswith("Perhaps the model lacks Coulomb friction")
     alike = replace(guess.verdict, confusable_with={"coulomb_friction": ("stiction",)})
-    assert kind_words(alike) == ("A first guess among look-alikes", False)
+    assert certainty(alike) == ("A first guess among look-alikes", False)
 
 
 def test_the_report_for_programs_has_the_same_words(diagnosis: Diagnosis) -> None:
-    report = to_json(diagnosis)
-    (meaning,) = meanings(diagnosis)
+    report = diagnosis_document(diagnosis).to_json()
     assert report["verdict"]["headline"] == headline(diagnosis)
-    assert report["meaning"]["coulomb_friction"]["severity"] == "4 % of the spring preload"
-    assert report["meaning"]["coulomb_friction"]["what_to_do"] == meaning.what_to_do
+    meaning = report["meaning"]["coulomb_friction"]
+    assert meaning["severity"] == "4 % of the spring preload"
+    assert meaning["what_to_do"] == CATALOGUE["coulomb_friction"].what_to_do
 
 
 def test_a_deviation_inside_its_own_error_is_none() -> None:
@@ -152,7 +152,7 @@ def test_a_deviation_inside_its_own_error_is_none() -> None:
     assert amount_words(loose).startswith("1264 ± 666 N/m, which does not differ from the declared 2000")
     assert amount_words(tight) == "1264 ± 20 N/m, not 2000: 18.4 tolerances"
     assert amount_words(loose) in summary_words([loose])
-    assert declared_lines([loose])[1:] == declared_lines([loose])[1:2], "no sentence that it is out"
+    assert not any(block.style == "doubt" for block in declared_section([loose]).blocks if isinstance(block, Words))
 
 
 @pytest.mark.parametrize(
@@ -175,41 +175,43 @@ def test_where_a_standard_error_does_not_describe_the_interval_the_interval_is_t
 
 
 def test_what_one_of_several_effects_explains_is_a_statement_of_its_own(diagnosis: Diagnosis) -> None:
-    (meaning,) = meanings(diagnosis)
-    share = ("explains", "less than 1 % of what all named effects explain")
-    told = told_amounts(meaning._replace(amounts=(*meaning.amounts, share)))
-    assert told.endswith("4 % of the spring preload; it explains less than 1 % of what all named effects explain")
+    worth = "less than 1 % of what all named effects explain"
+    meaning = meanings(diagnosis)["coulomb_friction"]
+    meaning["amounts"]["explains"] = worth
+    told = meaning_entry("coulomb_friction", meaning, ()).blocks[0]
+    assert isinstance(told, Words)
+    assert told.text.endswith(f"4 % of the spring preload; it explains {worth}.")
 
 
 def test_where_the_budget_ended_the_recording_is_not_blamed(diagnosis: Diagnosis) -> None:
     verdict = replace(diagnosis.verdict, kind="insufficient", effects=(), probability=1e-3, is_cut_short=True)
     ended = replace(diagnosis, verdict=verdict, untried=("coil lag",), allowed=6000.0)
-    text = diagnosis_text(ended)
+    text = diagnosis_document(ended).to_text()
     assert "budget of 6,000 simulated strokes ended" in text and "--budget 3" in text
     assert "recordings cannot tell" not in text and "data cannot tell" not in text and "Record next" not in text
     assert "likeliest" not in text and "probability" not in text.splitlines()[1]
     rivals = replace(verdict, effects=("coil_lag",), confusable_with={"coil_lag": ("eddy_lag",)})
-    untried = diagnosis_text(replace(ended, verdict=rivals))
+    untried = diagnosis_document(replace(ended, verdict=rivals)).to_text()
     assert "so far coil lag fits best." in untried and "ddy currents" not in untried, "it was never fitted"
-    report = to_json(ended)
+    report = diagnosis_document(ended).to_json()
     assert (report["verdict"]["ended"], report["record_next"]) == ("budget", None)
     whole = replace(ended, verdict=replace(verdict, is_cut_short=False), untried=())
     assert "no set of effects is likelier than many others" in summarise(whole)
-    assert to_json(whole)["verdict"]["ended"] is None
+    assert diagnosis_document(whole).to_json()["verdict"]["ended"] is None
 
 
 def test_an_error_that_grows_by_copies_of_a_rounding_error_is_explained(diagnosis: Diagnosis) -> None:
     assert rounding_words(diagnosis) == ""
-    assert "rounded reading" not in diagnosis_text(diagnosis)
+    assert "rounded reading" not in diagnosis_document(diagnosis).to_text()
     larger = replace(diagnosis, after=replace(diagnosis.after, train_rmse=1.01 * diagnosis.before.train_rmse))
     errors = (quantity(state.train_rmse, "m") for state in (diagnosis.before, diagnosis.after))
     assert "counted once" in rounding_words(larger)
     assert " to ".join(errors) in rounding_words(larger)
-    assert rounding_words(larger) in diagnosis_text(larger)
+    assert rounding_words(larger) in diagnosis_document(larger).to_text()
 
 
 def test_a_correction_says_what_it_leaves_and_what_confirms_it(diagnosis: Diagnosis) -> None:
-    told, found = to_json(diagnosis)["correction"], diagnosis.correction
+    told, found = diagnosis_document(diagnosis).to_json()["correction"], diagnosis.correction
     assert found is not None
     volts = {own.words: float(own.words.split(" V")[0]) for own in found.parts}
     assert told["valid_for"] == {"voltages": sorted({*volts.values()}), "lifts": "full", "profiles": [*volts]}

@@ -10,7 +10,7 @@ from plants.recording import Profile, Recorder, three_strokes
 from identification.recordings import recorded
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.run import diagnose
-from valve_sim.identification.reporting.validation import validation_json, validation_junit, validation_text
+from valve_sim.identification.reporting.validation import validation_document
 from valve_sim.identification.validation.replay import Validation, validate
 from valve_sim.model import EXACT, Tolerances, ValveError
 from valve_sim.traces import Trace, events_from_sensors
@@ -136,7 +136,7 @@ def test_tolerance_without_sense_is_refused(trace: Trace, tolerance: float):
 
 def test_junit_has_a_case_for_each_stroke_and_counts_failures(good: Validation, bad: Validation):
     for result, suites in ((good, 1), (bad, 2)):
-        root = ElementTree.fromstring(validation_junit(result).encode())
+        root = ElementTree.fromstring(validation_document(result).to_junit().encode())
         assert [suite.tag for suite in root] == ["testsuite"] * suites
         for suite in root:
             cases = suite.findall("testcase")
@@ -147,9 +147,9 @@ def test_junit_has_a_case_for_each_stroke_and_counts_failures(good: Validation, 
 
 
 def test_report_and_text_say_the_same(bad: Validation):
-    report = validation_json(bad)
+    report = validation_document(bad).to_json()
     assert report["passed"] is False
-    text = validation_text(bad)
+    text = validation_document(bad).to_text()
     strokes = [stroke for recording in report["recordings"] for stroke in recording["strokes"]]
     failed = [stroke["passed"] for stroke in strokes].count(False)
     assert failed == text.count("  outside") - 2  # each recording as a whole is outside too

@@ -220,28 +220,31 @@ def signal_errors(result: Fit, values: Mapping[str, float] | None = None) -> tup
     values = result.values if values is None else values
     own = {nuisance.name: values[nuisance.name] for nuisance in result.nuisances if not nuisance.is_of_machine}
     added = result.added if problem.columns.unknowns else ()
-    before, after = (_rms_of_channels(plant, there, added) for there in (own, values))
+    before, after = (_rms_of_channels(problem, there, added) for there in (own, values))
     return tuple(
         SignalError(one.name, one.kind, one.unit, one.count, before[index], after[index], problem.noise_of(index).sigma)
         for index, one in enumerate(plant.channels)
     )
 
 
-def _rms_of_channels(plant: Plant, values: Mapping[str, float], added: Sequence[Array]) -> list[float]:
+def _rms_of_channels(problem: Problem, values: Mapping[str, float], added: Sequence[Array]) -> list[float]:
     """Root mean square of measured less shown of each channel.
 
     Args:
-        plant: the machine and its data. values: by which it is simulated.
+        problem: the machine and its data. values: by which it is simulated.
         added: (n,) by channel what the errors of its sensors add to what they show; empty: nothing.
     """
-    squares = [list[float]() for _ in plant.channels]
-    for piece in _pieces(plant, values):
-        channel, own = plant.channels[piece.channel], piece.samples
-        shown = piece.shown + added[piece.channel][own] if added else piece.shown
-        squares[piece.channel].append(sum_squares(channel.kept(channel.data[own] - shown, own)))
+    channels = problem.plant.channels
+    squares, counts = [list[float]() for _ in channels], [0 for _ in channels]
+    for piece in _pieces(problem.plant, values):
+        index, own = piece.channel, piece.samples
+        left = channels[index].data[own] - (piece.shown + added[index][own] if added else piece.shown)
+        left_out = problem.left_out(index)
+        left = left if left_out is None else left[~left_out[own]]
+        squares[index].append(sum_squares(left))
+        counts[index] += len(left)
     return [
-        math.sqrt(math.fsum(own) / channel.count) if channel.count else math.nan
-        for own, channel in zip(squares, plant.channels, strict=True)
+        math.sqrt(math.fsum(own) / count) if count else math.nan for own, count in zip(squares, counts, strict=True)
     ]
 
 

@@ -25,7 +25,7 @@ from valve_sim.identification.fit.gaussian import Gaussian, Spread
 from valve_sim.identification.fit.model import Model
 from valve_sim.identification.fit.posterior import EVEN, Evidence, Rivals, Set
 from valve_sim.identification.fit.priors import LogNormal
-from valve_sim.identification.fit.problem import Problem
+from valve_sim.identification.fit.problem import Problem, weigh_outliers
 from valve_sim.identification.fit.process import SMALLEST, Process
 from valve_sim.identification.fit.recordings import sizes_at_rest
 from valve_sim.identification.fit.result import Fit
@@ -335,6 +335,14 @@ class Fitter:
         if not known:
             raise SimulationError("the declared model cannot be simulated from any start of the fit")
         fit = min(known, key=lambda one: one.cost)
+
+        def again(robust: Problem) -> Mapping[str, float]:
+            nonlocal fit
+            self.problem, there = robust, fit.gaussian
+            fit = self.descended(self.model((), is_bare=True), there.model.named(there.z)) or fit
+            return fit.gaussian.model.values(fit.gaussian.z)
+
+        weigh_outliers(self.problem, fit.gaussian.model.values(fit.gaussian.z), again)
         if self._reads and self._read_at_rest(fit):
             fit = self.descended(self.model((), is_bare=True), fit.gaussian.model.named(fit.gaussian.z)) or fit
         return fit

@@ -21,7 +21,7 @@ from valve_sim.identification.fit.descent import descend
 from valve_sim.identification.fit.gaussian import Gaussian, MachineKnowledge, Sizes
 from valve_sim.identification.fit.gram import gram
 from valve_sim.identification.fit.model import Model
-from valve_sim.identification.fit.problem import Problem
+from valve_sim.identification.fit.problem import Problem, weigh_outliers
 from valve_sim.identification.fit.process import Process
 from valve_sim.identification.fit.recordings import columns_like, fit_recording, free_of_prior, sizes_like
 from valve_sim.identification.fit.result import Fit, rmse
@@ -182,8 +182,18 @@ class HeldOut:
         Until then they are learned beside each fit.
         """
         there = self.fit(result)
-        if there is not None:
-            self.problem, self._sizes = there.problem, there.gaussian.sizes
+        if there is None:
+            return
+
+        def again(robust: Problem) -> Mapping[str, float]:
+            nonlocal there
+            self.problem = robust
+            self._fits.clear()
+            there = self.fit(result) or there
+            return {} if there is None else there.values
+
+        weigh_outliers(there.problem, there.values, again)
+        self.problem, self._sizes = there.problem, there.gaussian.sizes
 
     def predicted(self, result: Fit, tau: float = 0.0) -> Predicted | None:
         """The predicted error of held-out strokes."""

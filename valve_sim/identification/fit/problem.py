@@ -12,6 +12,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit
 
 from valve_sim.identification.fit.budget import Budget
 from valve_sim.identification.fit.columns import Columns
@@ -39,15 +40,26 @@ from valve_sim.identification.plants.protocol import (
     primary_channels,
 )
 from valve_sim.model import SimulationError
+from valve_sim.signals.left_out import largest_beside, running_median
 
 STALE: Final = ("white_columns", "column_products")
 """What follows from the errors of the recordings and from the noise."""
+OF_WEIGHTS: Final = ("_condensed_rows", "every_row", "_weights", "samples", "effective_samples")
+"""What follows from the weights of samples; the first two from the noise, too."""
 Mask = Callable[[int, NDArray[np.integer]], NDArray[np.bool_]]
 
 LONGEST_RUN: Final = 4
 """Identical readings in a row, beyond which a coarse sensor repeats one reading."""
 LONG: Final = 100_000
 """Residuals, some 2.5 s of position and current at 20 kHz: of more a fit does not hold its derivatives."""
+APART: Final = 6.0
+"""Standard deviations off what is left beside it, at which a reading is as probably no measurement as one."""
+EVEN, SURELY = 0.5, 1e-3
+"""Probabilities of being a measurement, below which a reading is weighted, and takes no part."""
+LEVELS: Final = (256.0, 64.0, 16.0, 4.0, 1.0)
+"""By how much readings that stand apart are farther off, in turn."""
+OFTEN: Final = 0.25
+"""Share of the strokes in which readings stand apart where motion bends, above which it is the model that bends."""
 ELSEWHERE: Final = 4.0
 """Steps of a coarse sensor by which the declared model misses it, beyond which the model does not say what is still."""
 
@@ -77,15 +89,28 @@ class Problem:
         self.columns = Columns()
         self.budget = budget or Budget.unlimited()
         self.noises = _noises(plant) if noises is None else dict(noises)
-        self._weights = [self._weight(index, takes_part) for index in range(len(plant.channels))]
-        self.samples = sum(int(np.count_nonzero(weight)) for weight in self._weights)
-        self.effective_samples = float(sum(map(_effective, self._weights)))
+        self._given = [self._weight(index, takes_part) for index in range(len(plant.channels))]
+        self._trust: dict[int, Array] = {}
 
     def restricted(self, takes_part: Mask) -> Problem:
         """This problem with other samples taking part; data and noise are kept."""
         same = Problem(self.plant, takes_part, self.noises, self.budget)
-        same.columns = self.columns
+        same.columns, same._trust = self.columns, self._trust
         return same
+
+    @functools.cached_property
+    def _weights(self) -> list[Array]:
+        return [own * self._trust[index] if index in self._trust else own for index, own in enumerate(self._given)]
+
+    @functools.cached_property
+    def samples(self) -> int:
+        """How many samples take part."""
+        return sum(int(np.count_nonzero(weight)) for weight in self._weights)
+
+    @functools.cached_property
+    def effective_samples(self) -> float:
+        """How many of them are measurements of their own."""
+        return float(sum(map(_effective, self._weights)))
 
     def with_columns(self, columns: Columns) -> Problem:
         """This problem with these errors of its recordings; without any where it is too long for their columns."""
@@ -148,7 +173,34 @@ class Problem:
     def with_noises(self, noises: Mapping[str, Noise]) -> Problem:
         """This problem with other noise; data and samples are kept."""
         own = {kind: noises.get(kind, noise) for kind, noise in self.noises.items()}
-        return self._changed(*STALE, "_condensed_rows", "every_row", noises=own)
+        return self._changed(*STALE, *OF_WEIGHTS[:2], noises=own)
+
+    def without_outliers(self, values: Mapping[str, float], level: float = 1.0) -> Problem:
+        """This problem with readings weighted by their probability of being measurements, beside a machine's values.
+
+        What a model lacks is left of many readings in a row, what electronics add of a few: so a reading is compared
+        with the running median of what is left. Where motion bends few may be the model's, too, but in many strokes.
+
+        Args:
+            values: of the machine. level: by how much a reading is farther off, while values still follow outliers.
+        """
+        if self.is_long:
+            return self
+        trust, is_changed = dict(self._trust), False
+        for index, (channel, shown) in enumerate(zip(self.plant.channels, self.plant.predict(values), strict=True)):
+            noise, given = self.noise_of(index), self._given[index] > 0.0
+            left = noise.whiten(channel.data - shown)
+            apart = (left - running_median(left)) / level
+            is_one = expit(0.5 * (APART**2 - np.square(apart)))
+            bends = largest_beside(np.abs(np.diff(shown, 2, prepend=shown[:1], append=shown[-1:]))) > noise.innovation
+            is_off = given & (is_one < EVEN)
+            if not is_off.any():
+                continue
+            strokes = np.unique(channel.group[given & bends])
+            if len(np.unique(channel.group[is_off & bends])) > OFTEN * len(strokes):
+                is_one = np.where(bends, np.square(self._trust.get(index, 1.0)), is_one)
+            trust[index], is_changed = np.where(is_one < SURELY, 0.0, np.sqrt(is_one)), True
+        return self._changed(*STALE, *OF_WEIGHTS, _trust=trust) if is_changed else self
 
     def condensed(self) -> Problem:
         """This problem for fits that sum up what is read while the machine is still."""
@@ -200,6 +252,14 @@ class Problem:
         """(n,) how much each sample of a channel counts; 0 where it takes no part."""
         return self._weights[index]
 
+    def left_out(self, index: int) -> NDArray[np.bool_] | None:
+        """(n,) readings of a channel that are no measurements, or stand apart; None where all are."""
+        known = self.plant.channels[index].left_out
+        if index not in self._trust:
+            return known
+        found: NDArray[np.bool_] = self._trust[index] == 0.0
+        return found if known is None else known | found
+
     @property
     def is_long(self) -> bool:
         """Whether a fit only adds its residuals up."""
@@ -232,6 +292,20 @@ class Problem:
         if takes_part is not None:
             weight = np.where(takes_part(index, channel.group), weight, 0.0)
         return weight
+
+
+def weigh_outliers(
+    problem: Problem, values: Mapping[str, float], again: Callable[[Problem], Mapping[str, float]]
+) -> None:
+    """Weigh the outliers of a problem, the farthest first, since a fit follows them.
+
+    Args:
+        values: of a fit to it. again: told a problem with other weights, fits to it; returns its values.
+    """
+    for level in LEVELS if problem.without_outliers(values) is not problem else ():
+        robust = problem.without_outliers(values, level)
+        if robust is not problem:
+            problem, values = robust, again(robust)
 
 
 def is_long(plant: Plant) -> bool:

@@ -10,14 +10,14 @@ from valve_sim.files.json_text import json_text
 from valve_sim.files.parameter_files import save_valve
 from valve_sim.files.whole_files import write_whole
 from valve_sim.identification.diagnosis.identify import Identification
-from valve_sim.identification.diagnosis.run import Diagnosis
+from valve_sim.identification.diagnosis.outcome import Diagnosis
 from valve_sim.identification.plants.own import OwnPlant
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.reporting.diagnosis_json import to_json
-from valve_sim.identification.reporting.html import draw_diagnosis, write_report
-from valve_sim.identification.reporting.identification import identification_json
-from valve_sim.identification.reporting.own_plant import changed_plant, corrected_plant, save_plant
-from valve_sim.identification.reporting.recording_profile import write_record_next
+from valve_sim.identification.reporting.diagnosis import diagnosis_document
+from valve_sim.identification.reporting.identification import identification_document
+from valve_sim.identification.reporting.page import write_page
+from valve_sim.identification.reporting.plant_file import changed_plant, corrected_plant, save_plant
+from valve_sim.identification.reporting.record_next import write_record_next
 
 IDENTIFIED: Final = ("identify.json", "identified.yaml")
 """What `write_identification` writes."""
@@ -33,7 +33,7 @@ def write_identification(
     Args:
         result: of any machine. directory: made where it is missing.
         provenance: where the values are from; the refitted values are added to it.
-        report: what `identification_json` made of it, if that is known.
+        report: its JSON, if that is known.
 
     Returns:
         the files.
@@ -42,8 +42,8 @@ def write_identification(
         ValveError: a file cannot be written.
     """
     data, machine = (Path(directory) / name for name in IDENTIFIED)
-    write_whole(data, json_text(identification_json(result) if report is None else report))
-    values = [f"{key}: {own.value:.6g} ± {own.stderr:.2g}" for key, own in result.intervals.items()]
+    write_whole(data, json_text(report or identification_document(result).to_json()))
+    values = [f"{name}: {interval.value:.6g} ± {interval.stderr:.2g}" for name, interval in result.intervals.items()]
     origin = f"{provenance}\nidentified: {', '.join(values)}"
     if isinstance(result.plant, OwnPlant):
         effects = dict.fromkeys(name.partition(".")[0] for name in result.intervals if "." in name)
@@ -63,15 +63,15 @@ def write_diagnosis(
     report: Mapping[str, Any] | None = None,
     options: str = "",
 ) -> tuple[Path, ...]:
-    """Write what a diagnosis found, each file whole or not at all.
+    """Write a diagnosis, each file whole or not at all.
 
     Args:
-        diagnosis: of any plant; only a valve has a corrected.yaml and a record_next.yaml.
+        diagnosis: of any plant; only a valve has a record_next.yaml.
         directory: made where it is missing.
         provenance: how the diagnosis was made; goes into report.html and corrected.yaml.
         picture: where to draw the page's plots, too; default nowhere.
         final: the folder that the files will be moved to, for the commands that the page prints; default `directory`.
-        report: what `to_json` made of it, if that is known; it may take many simulations.
+        report: its JSON, if that is known; it may take many simulations.
         options: of commands that the files print: the machine and the map, as "--params my_valve.yaml --map map.yaml".
 
     Returns:
@@ -80,20 +80,21 @@ def write_diagnosis(
     Raises:
         ValveError: a file cannot be written.
     """
-    folder = Path(directory)
+    folder, plant = Path(directory), diagnosis.plant
     data, page, corrected = (folder / name for name in FILES)
-    write_whole(data, json_text(to_json(diagnosis) if report is None else report))
-    write_report(diagnosis, page, provenance, final, options)
+    document = diagnosis_document(diagnosis, final or folder, options, provenance)
+    write_whole(data, json_text(report or document.to_json()))
+    write_page(document, page)
     written = [data, page]
-    if isinstance(diagnosis.plant, ValvePlant):
+    if isinstance(plant, ValvePlant):
         save_valve(corrected, diagnosis.valve, provenance)
         profile = write_record_next(folder, diagnosis, provenance, options)
         written += [corrected] if profile is None else [corrected, profile]
-    if isinstance(diagnosis.plant, OwnPlant):
+    if isinstance(plant, OwnPlant):
         save_plant(corrected, corrected_plant(diagnosis), provenance)
         written.append(corrected)
     if picture is not None:
-        from valve_sim.identification.reporting.figures import save_figure
+        from valve_sim.identification.reporting.figures import draw_diagnosis, save_figure
 
         save_figure(draw_diagnosis(diagnosis), picture)
         written.append(picture)

@@ -1,12 +1,11 @@
-"""Values with their intervals as every report has them, in JSON and as a table, and findings on a fit in sentences."""
+"""Findings on a fit in sentences: what the data do not determine, and what else is off."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
-from typing import Any, Final
+from collections.abc import Iterable
+from typing import Final
 
-from valve_sim.files.json_text import plain
 from valve_sim.identification.fit.findings import (
     Correlated,
     ExplainedByErrors,
@@ -18,7 +17,6 @@ from valve_sim.identification.fit.findings import (
     OnBound,
     StampErrors,
 )
-from valve_sim.identification.fit.intervals import Interval, Unbounded
 from valve_sim.identification.fit.static_force import (
     BeginsLate,
     EndsEarly,
@@ -26,18 +24,9 @@ from valve_sim.identification.fit.static_force import (
     StartOfMotion,
     StaticFinding,
 )
-from valve_sim.identification.plants.protocol import Plant
-from valve_sim.identification.reporting.units import disagree, limits, measured, quantity
-from valve_sim.identification.reporting.wording import percent
+from valve_sim.identification.reporting.units import percent
+from valve_sim.identification.reporting.values import UNBOUNDED
 
-_UNBOUNDED: Final = {
-    Unbounded.FLAT_PROFILE: "the profile is flat: these data do not determine it",
-    Unbounded.MAY_BE_INFINITE: "it may be too long to be seen in these data",
-}
-_DISAGREEING: Final = (
-    "± is one standard error, from the curvature of χ² at the best value; the 95 % interval follows from χ² itself, "
-    "all else refitted, or ends at a bound. The two disagree here: use the interval"
-)
 _SEPARATING: Final = "strokes at other voltages, or a release, would separate them."
 _LACKING: Final = "so the intervals are too narrow; `diagnose` may name it."
 _BY_ERRORS: Final = (
@@ -45,13 +34,6 @@ _BY_ERRORS: Final = (
     "It may lack an effect instead: `diagnose` compares both."
 )
 _AT_THE_SEAT: Final = "measure at x = 0, where the motion starts."
-
-
-def remark_on(interval: Interval) -> str:
-    """Why an interval is wide, one-sided, or not what its standard error says; empty where it is as usual."""
-    if interval.unbounded is not None:
-        return _UNBOUNDED[interval.unbounded]
-    return _DISAGREEING if disagree(interval) else ""
 
 
 def remarks(findings: Iterable[Finding | StaticFinding]) -> list[str]:
@@ -62,7 +44,7 @@ def remarks(findings: Iterable[Finding | StaticFinding]) -> list[str]:
 def _sentence(finding: Finding | StaticFinding) -> str:
     match finding:
         case NotIdentifiable(name, reason):
-            words = f"{name} is not identifiable from these data: {_UNBOUNDED[reason]}."
+            words = f"{name} is not identifiable from these data: {UNBOUNDED[reason]}."
         case OnBound(name, bound):
             words = f"{name} is on its {bound} bound: the best value lies beyond it, or the model lacks something."
         case LooselyDetermined(name, low, high, unit):
@@ -116,32 +98,3 @@ def _opening(opening: Opening) -> str:
     )
     first = "leaves its seat" if has_one_plunger else "meets the main plunger"
     return f"the {plunger} {first} at {1e3 * meets_main:.2f} ms and {reached} at {volts:g} V"
-
-
-def interval_json(found: Interval) -> dict[str, Any]:
-    """Value, standard error and 95 % interval; null where one is infinite."""
-    entry: dict[str, Any] = {
-        "value": plain(found.value),
-        "stderr": plain(found.stderr),
-        "ci95": plain([found.low, found.high]),
-    }
-    if remark := remark_on(found):
-        entry["remark"] = remark
-    return entry
-
-
-def intervals_json(intervals: Mapping[str, Interval]) -> dict[str, dict[str, Any]]:
-    """Intervals by name, each as `interval_json` has it."""
-    return {name: interval_json(found) for name, found in intervals.items()}
-
-
-def interval_lines(plant: Plant, intervals: Mapping[str, Interval], width: int) -> list[str]:
-    """A table of refitted parameters beside their declared values, with a remark below an unusual interval."""
-    column = max([28, *(len(name) + 2 for name in intervals)])
-    lines = [f"{'parameter':<{column}}{'value ± standard error':<30}{'95 % interval':<{width}}declared"]
-    for name, found in intervals.items():
-        unit, declared = plant.parameter(name).unit, plant.declared(name)
-        known = f"{measured(found, unit):<29} {limits(found, unit):<{width - 1}} "
-        row = f"{name:<{column}}{known}{quantity(declared, unit)}"
-        lines += [row, *([f"  {remark}."] if (remark := remark_on(found)) else [])]
-    return lines

@@ -1,4 +1,4 @@
-"""The results of `identify` and of `fit-force`, as JSON and as text for the terminal."""
+"""The results of `identify` and of `fit-force` as documents."""
 
 from __future__ import annotations
 
@@ -8,14 +8,25 @@ from typing import Any, Final
 
 import numpy as np
 
-from valve_sim.files.json_text import plain_mapping
 from valve_sim.identification.diagnosis.identify import Identification, SignalError
 from valve_sim.identification.fit.static_force import StaticForce
+from valve_sim.identification.plants.effect_titles import capitalised
 from valve_sim.identification.plants.protocol import READABLE_UNITS
-from valve_sim.identification.reporting.declared_values import declared_json, declared_lines
-from valve_sim.identification.reporting.findings import interval_lines, intervals_json, remarks
-from valve_sim.identification.reporting.recording_state import recording_json, recording_lines
-from valve_sim.identification.reporting.units import in_unit, three_digits
+from valve_sim.identification.reporting.document import (
+    Chapter,
+    Document,
+    Items,
+    Line,
+    Panel,
+    Plot,
+    Plots,
+    Table,
+    TableRow,
+)
+from valve_sim.identification.reporting.findings import remarks
+from valve_sim.identification.reporting.recording_state import recording_sections
+from valve_sim.identification.reporting.units import in_unit, limits, measured, quantity, three_digits
+from valve_sim.identification.reporting.values import declared_section, intervals_json, remark_on
 from valve_sim.model import DECLARED
 from valve_sim.model.tolerances import COVARIANCE_NAME
 
@@ -23,76 +34,91 @@ _WORDS: Final = {"current": "the current", "pressure": "the outlet's pressure"}
 """Kinds of signals of a valve, as a sentence has them; outputs of a plant file have their own names."""
 
 
-def identification_json(result: Identification) -> dict[str, Any]:
-    """The content of identify.json; errors in `unit`, as of report.json, and of each signal in SI."""
-    plant, channel = result.plant, result.primary_channel
-    noise = result.fit.problem.noises[channel.kind]
-    scale, unit = channel.readable
-    report = {
-        "schema": "valve_sim/identification/1",
-        "sources": list(result.sources),
-        "unit": unit,
-        # noise_um, and in place of the plain number all that is known of the noise.
+def identification_document(result: Identification) -> Document:
+    """Values, errors, declared values, and what the data do not determine; errors in the unit of the response."""
+    plant, channel, fit = result.plant, result.primary_channel, result.fit
+    noise, (scale, unit), findings = fit.problem.noises[channel.kind], channel.readable, remarks(result.findings)
+    units = {name: plant.parameter(name).unit for name in result.intervals}
+    values = Table(
+        ("parameter", "value ± standard error", "95 % interval", "declared"),
+        [
+            TableRow(
+                (
+                    name,
+                    measured(one, units[name]),
+                    limits(one, units[name]),
+                    quantity(plant.declared(name), units[name]),
+                ),
+                note=f"{capitalised(remark)}." if (remark := remark_on(one)) else "",
+            )
+            for name, one in result.intervals.items()
+        ],
+    )
+    judged, *others = _by_kind(result)
+    errors = [
+        f"{_change('residual', judged)}; sensor noise {_readable(judged.noise, judged.unit)}",
+        *(_change(f"residual of {_WORDS.get(error.kind, error.kind)}", error) for error in others),
+    ]
+    head = {"schema": "valve_sim/identification/1", "sources": list(result.sources), "unit": unit}
+    noise_fields = {
         **in_unit("noise", scale * noise.sigma, unit),
         "noise": {
             **in_unit("sigma", scale * noise.sigma, unit),
             "colour": list(noise.coefficients),
             **in_unit("quantisation", scale * noise.step, unit),
         },
-        "parameters": intervals_json(result.intervals),
-        "units": {name: plant.parameter(name).unit for name in result.intervals},
-        **declared_json(result.declared),
-        "recording": recording_json(result.recording),
+    }
+    rest = {
         "clock_offsets_us": [
-            1e6 * result.fit.values[nuisance.name]
-            for nuisance in plant.nuisances
-            if nuisance.name.startswith("clock_offset")
+            1e6 * fit.values[one.name] for one in plant.nuisances if one.name.startswith("clock_offset")
         ],
         "nuisances": {
-            own.name: {"estimate": result.fit.values[own.name], "unit": own.unit}
-            for own in result.fit.nuisances
-            if not own.is_of_machine
+            one.name: {"estimate": fit.values[one.name], "unit": one.unit}
+            for one in fit.nuisances
+            if not one.is_of_machine
         },
-        **_errors_json(result),
-        "signals": [asdict(own) for own in result.errors],
-        "chi2_per_sample": result.fit.chi2 / result.fit.problem.effective_samples,
-        "converged": result.fit.converged,
+        **_errors_json(_by_kind(result)),
+        "signals": [asdict(error) for error in result.errors],
+        "chi2_per_sample": fit.chi2 / fit.problem.effective_samples,
+        "converged": fit.converged,
         "profiles": {
             name: [{"value": value, "rise": rise} for value, rise in curve if math.isfinite(value)]
             for name, curve in result.profiles.items()
         },
-        "remarks": remarks(result.findings),
+        "remarks": findings,
     }
-    return plain_mapping(report)
+    recording = recording_sections(result.recording, noise.sigma, channel.unit)
+    return Document(
+        "Identification",
+        [
+            Chapter(
+                "", [values], {**head, **noise_fields, "parameters": intervals_json(result.intervals), "units": units}
+            ),
+            declared_section(result.declared, is_whole=True),
+            Chapter("", [Items(errors)], rest),
+            *recording,
+            Chapter("", [Items(findings)]),
+        ],
+    )
 
 
-def _errors_json(result: Identification) -> dict[str, Any]:
-    """Errors of all kinds of signals in the units in which they are read; of those of one unit the first one's."""
-    found: dict[str, Any] = {}
-    for own in (result.error_of(result.primary_channel.kind), *_others(result)):
-        scale, unit = READABLE_UNITS.get(own.unit, (1.0, own.unit))
-        found = {**in_unit("rmse", {"before": scale * own.before, "after": scale * own.after}, unit), **found}
-    return found
-
-
-def _others(result: Identification) -> list[SignalError]:
-    """What a model is not judged by, each kind of signal together."""
-    kinds = dict.fromkeys(own.kind for own in result.errors if own.kind != result.primary_channel.kind)
+def _by_kind(result: Identification) -> list[SignalError]:
+    """The errors of each kind of signal together, that by which the model is judged first."""
+    kinds = dict.fromkeys([result.primary_channel.kind, *(error.kind for error in result.errors)])
     return [result.error_of(kind) for kind in kinds]
 
 
-def identification_text(result: Identification) -> str:
-    """A report for the terminal: values, errors, declared values, and what the data do not determine."""
-    lines = interval_lines(result.plant, result.intervals, 30)
-    lines += declared_lines(result.declared)
-    judged = result.error_of(result.primary_channel.kind)
-    lines.append(f"{_change('residual', judged)}; sensor noise {_readable(judged.noise, judged.unit)}")
-    lines += [_change(f"residual of {_WORDS.get(own.kind, own.kind)}", own) for own in _others(result)]
-    return "\n".join([*lines, *recording_lines(result.recording), *remarks(result.findings)])
+def _errors_json(errors: list[SignalError]) -> dict[str, Any]:
+    """Errors of all kinds of signals in the units in which they are read; of those of one unit the first one's."""
+    told: dict[str, Any] = {}
+    for error in errors:
+        scale, unit = READABLE_UNITS.get(error.unit, (1.0, error.unit))
+        told = {**in_unit("rmse", {"before": scale * error.before, "after": scale * error.after}, unit), **told}
+    return told
 
 
-def _change(name: str, own: SignalError) -> str:
-    before, after = _readable(own.before, own.unit), _readable(own.after, own.unit)
+def _change(name: str, error: SignalError) -> str:
+    before, after = _readable(error.before, error.unit), _readable(error.after, error.unit)
     return f"{name} {before} as declared, {after} refitted"
 
 
@@ -101,33 +127,42 @@ def _readable(value: float, si: str) -> str:
     return f"{three_digits(scale * value)} {unit}"
 
 
-def static_force_json(result: StaticForce) -> dict[str, Any]:
-    """The content of fit-force.json."""
-    report = {
+def static_force_document(result: StaticForce) -> Document:
+    """What `fit-force` says: coefficients, residual, and what they mean for the start of motion."""
+    parameters, findings = result.valve.parameters, remarks(result.findings)
+    left = result.force - result.predicted
+    values = Table(
+        ("", "value ± standard error", "95 % interval"),
+        [
+            TableRow((name, measured(one, DECLARED[name].unit), limits(one, DECLARED[name].unit)))
+            for name, one in result.intervals.items()
+        ],
+    )
+    fields = {
         "schema": "valve_sim/static_force/1",
         "source": result.source,
         "samples": len(result.force),
         "voltage": result.voltage,
-        "reference_voltage": result.valve.parameters.reference_voltage,
+        "reference_voltage": parameters.reference_voltage,
         "parameters": intervals_json(result.intervals),
-        "attraction_polynomial": list(result.valve.parameters.attraction_polynomial),
+        "attraction_polynomial": list(parameters.attraction_polynomial),
         "attraction_covariance": result.valve.tolerances.to_mapping().get(COVARIANCE_NAME, [0.0] * 16),
         "rmse_n": result.rmse,
-        "maximum_n": float(np.max(np.abs(result.force - result.predicted))),
+        "maximum_n": float(np.max(np.abs(left))),
         "r_squared": result.r_squared,
-        "remarks": remarks(result.findings),
+        "remarks": findings,
     }
-    return plain_mapping(report)
 
-
-def static_force_text(result: StaticForce) -> str:
-    """The report of a static force for the terminal."""
-    lines = [f"{result.source}: {len(result.force)} points at {result.voltage:g} V"]
-    lines.append(f"{'':<5}{'value':>12} {'± std. error':>14}   95 % interval")
-    for name, interval in result.intervals.items():
-        lines.append(
-            f"{name:<5}{interval.value:>12.5g} ± {interval.stderr:<12.2g}   "
-            f"[{interval.low:.5g}, {interval.high:.5g}] {DECLARED[name].unit}"
+    def plots() -> list[Plot]:
+        order = np.argsort(result.displacement)
+        attraction = Panel(
+            f"attraction at {result.voltage:g} V, N",
+            [Line("measured", result.force[order], has_dots=True), Line("polynomial", result.predicted[order])],
         )
-    lines.append(f"residual {result.rmse:.3g} N (rms), R² {result.r_squared:.6f}")
-    return "\n".join([*lines, *remarks(result.findings)])
+        residual = Panel("measured − polynomial, N", [Line("residual", left[order], has_dots=True)], has_zero=True)
+        title = f"{result.source}: residual {result.rmse:.3g} N rms"
+        return [Plot(title, "", 1e6 * result.displacement[order], "displacement, µm", [attraction, residual])]
+
+    title = f"{result.source}: {len(result.force)} points at {result.voltage:g} V"
+    end = f"residual {result.rmse:.3g} N (rms), R² {result.r_squared:.6f}"
+    return Document("fit-force", [Chapter(title, [values, Plots(plots), Items([end, *findings])], fields)])

@@ -9,31 +9,17 @@ from typing import Any, Final
 from valve_sim.identification.fit.intervals import Interval
 from valve_sim.identification.plants.protocol import KEY_OF_UNIT
 
-_PREFIXES: Final[Mapping[str, tuple[tuple[float, str], ...]]] = {
-    "m": ((1e-3, "µm"), (1.0, "mm")),
-    "s": ((1e-3, "µs"), (1.0, "ms"), (math.inf, "s")),
-    "A": ((1.0, "mA"), (math.inf, "A")),
-    "Hz": ((1e3, "Hz"), (math.inf, "kHz")),
-    "Pa": ((1e6, "kPa"), (math.inf, "MPa")),
-    "H": ((1e-3, "µH"), (1.0, "mH"), (math.inf, "H")),
-    "m²": ((math.inf, "mm²"),),
-    "m³": ((math.inf, "cm³"),),
+_READABLE: Final[Mapping[str, tuple[tuple[float, float, str], ...]]] = {
+    "m": ((1e-3, 1e6, "µm"), (1.0, 1e3, "mm")),
+    "s": ((1e-3, 1e6, "µs"), (1.0, 1e3, "ms"), (math.inf, 1.0, "s")),
+    "A": ((1.0, 1e3, "mA"), (math.inf, 1.0, "A")),
+    "Hz": ((1e3, 1.0, "Hz"), (math.inf, 1e-3, "kHz")),
+    "Pa": ((1e6, 1e-3, "kPa"), (math.inf, 1e-6, "MPa")),
+    "H": ((1e-3, 1e6, "µH"), (1.0, 1e3, "mH"), (math.inf, 1.0, "H")),
+    "m²": ((math.inf, 1e6, "mm²"),),
+    "m³": ((math.inf, 1e6, "cm³"),),
 }
-"""SI unit to display units, each for sizes below its bound."""
-_FACTORS: Final = {
-    "µm": 1e6,
-    "mm": 1e3,
-    "µs": 1e6,
-    "ms": 1e3,
-    "mA": 1e3,
-    "kHz": 1e-3,
-    "kPa": 1e-3,
-    "MPa": 1e-6,
-    "µH": 1e6,
-    "mH": 1e3,
-    "mm²": 1e6,
-    "cm³": 1e6,
-}
+"""SI unit to bound, factor and name of display units, each for sizes below its bound, the last beyond, too."""
 _NO_UNIT: Final = ("", "–")
 _MOST_PLACES: Final = 7
 _LARGE: Final = 1e5
@@ -46,9 +32,9 @@ _RAISED: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 def readable(unit: str, size: float) -> tuple[float, str]:
     """Factor from SI and name of the display unit for a value of this size."""
-    options = _PREFIXES.get(unit, ())
-    name = next((name for bound, name in options if abs(size) < bound), options[-1][1] if options else unit)
-    return _FACTORS.get(name, 1.0), "" if name in _NO_UNIT else name
+    options = _READABLE.get(unit, ((math.inf, 1.0, unit),))
+    _, factor, name = next((option for option in options if abs(size) < option[0]), options[-1])
+    return factor, "" if name in _NO_UNIT else name
 
 
 def quantity(value: float, unit: str, digits: int = 3) -> str:
@@ -61,9 +47,21 @@ def quantity(value: float, unit: str, digits: int = 3) -> str:
     return f"{_short(scale * value, digits)} {name}".rstrip()
 
 
+def percent(probability: float) -> str:
+    """A probability in percent; never 0 or 100."""
+    if probability >= 0.995:
+        return "> 99 %"
+    return f"{100 * probability:.0f} %" if probability >= 0.005 else "< 1 %"
+
+
 def three_digits(value: float) -> str:
     """With trailing zeros, 1.00, so that columns can be compared; – where it is not known."""
     return "–" if math.isnan(value) else _short(value, 3)
+
+
+def change(before: float, after: float, unit: str) -> str:
+    """Of an error in this unit: 1.20 → 1.00 µm."""
+    return f"{three_digits(before)} → {three_digits(after)} {unit}"
 
 
 def in_unit(name: str, value: Any, unit: str) -> dict[str, Any]:
@@ -71,12 +69,12 @@ def in_unit(name: str, value: Any, unit: str) -> dict[str, Any]:
     return {name: value, f"{name}_{KEY_OF_UNIT[unit]}": value} if unit in KEY_OF_UNIT else {name: value}
 
 
-def measured(found: Interval, unit: str) -> str:
+def measured(interval: Interval, unit: str) -> str:
     """A value with its standard error, both in the unit that suits them and to the two digits that the error has."""
-    if not (math.isfinite(found.value) and math.isfinite(found.stderr)):
-        return quantity(found.value, unit)
-    scale, name = readable(unit, found.value or found.stderr)
-    value, error = scale * found.value, scale * found.stderr
+    if not (math.isfinite(interval.value) and math.isfinite(interval.stderr)):
+        return quantity(interval.value, unit)
+    scale, name = readable(unit, interval.value or interval.stderr)
+    value, error = scale * interval.value, scale * interval.stderr
     places = 1 - math.floor(math.log10(error)) if error > 0.0 else _MOST_PLACES
     if places < 0 and max(abs(value), error) < _LARGE:
         places = 0
@@ -94,11 +92,11 @@ def disagree(interval: Interval) -> bool:
     return any(not expected / _HALF_MORE <= side <= expected * _HALF_MORE for side in sides)
 
 
-def amount(found: Interval, unit: str) -> str:
+def amount(interval: Interval, unit: str) -> str:
     """A value with its standard error, or with its 95 % interval where the standard error does not describe it."""
-    if not disagree(found):
-        return measured(found, unit)
-    return f"{quantity(found.value, unit)} (95 %: {limits(found, unit)})"
+    if not disagree(interval):
+        return measured(interval, unit)
+    return f"{quantity(interval.value, unit)} (95 %: {limits(interval, unit)})"
 
 
 def gain_words(log_odds: float) -> str:
@@ -108,11 +106,12 @@ def gain_words(log_odds: float) -> str:
     return signed(log_odds, 1 if log_odds < _FAR_LESS else 0)
 
 
-def limits(found: Interval, unit: str) -> str:
+def limits(interval: Interval, unit: str) -> str:
     """The 95 % interval; an open end is infinite."""
-    scale, name = readable(unit, found.value if math.isfinite(found.value) else found.low)
+    scale, name = readable(unit, interval.value if math.isfinite(interval.value) else interval.low)
     low, high = (
-        _short(scale * end, 4) if math.isfinite(end) else ("−∞" if end < 0 else "∞") for end in (found.low, found.high)
+        _short(scale * end, 4) if math.isfinite(end) else ("−∞" if end < 0 else "∞")
+        for end in (interval.low, interval.high)
     )
     return f"{low} to {high} {name}".rstrip()
 

@@ -230,6 +230,7 @@ def replay_trace(trace: Trace, valve: Valve, tolerance: float | None = None) -> 
     times = trace.sample_times
     start = min(float(drive.times.min(initial=math.inf)), float(times[0])) - CLOCK_SIGMA
     kind, _, finest = _JUDGED[trace.primary_signal]
+    left_out = problem.without_outliers(nuisances).left_out(0)
     noise, measured = problem.noises[kind].sigma, trace.primary_samples
     del problem, plant  # of a long recording what they hold is large
     motion = motion_of(replace(valve, tolerances=EXACT), trace, drive, times, start, offset)
@@ -241,7 +242,6 @@ def replay_trace(trace: Trace, valve: Valve, tolerance: float | None = None) -> 
     if trace.has_positions:
         shown += zero_with(0, nuisances)
     allowed = Allowed(variance, finest) if tolerance is None else tolerance
-    left_out = trace.left_out.any if trace.has_positions else None
     errors_of = partial(
         errors_between, measured.values, shown, _moving(times, motion.is_moving), allowed, left_out=left_out
     )

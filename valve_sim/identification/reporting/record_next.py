@@ -56,25 +56,31 @@ def duration_of(drive: Drive) -> float:
     return float(drive.times[-1]) + REST
 
 
-def highest_of(drive: Drive) -> float:
-    """Its highest voltage, V."""
-    return float(max(abs(drive.volts)))
-
-
-def most_volts(drive: Drive) -> str:
-    """The option with which `command_profile` takes a profile whose voltages it refuses by default."""
-    return f" -p max_voltage:={math.ceil(highest_of(drive)):.1f}" if highest_of(drive) > MAX_VOLTAGE else ""
-
-
-def option_of(options: str, name: str) -> str:
+def typed_option(options: str, name: str) -> str:
     """One of the options of a diagnosis with its value and a space before it; empty where it was not given."""
     words = shlex.split(options)
     return f" {name} {shlex.quote(words[words.index(name) + 1])}" if name in words else ""
 
 
-def params_of(options: str) -> str:
-    """Of the options of a diagnosis, the one that `simulate` takes, too."""
-    return option_of(options, "--params")
+def typed_commands(drive: Drive, path: Path, options: str, output: str) -> tuple[str, str]:
+    """Commands that simulate a profile, into `output`, and that drive a valve by it.
+
+    Args:
+        drive: the profile, in the file `path`. options: of the diagnosis; the valve is simulated with its --params.
+    """
+    file, highest = shlex.quote(str(path)), float(max(abs(drive.volts)))
+    most = f" -p max_voltage:={math.ceil(highest):.1f}" if highest > MAX_VOLTAGE else ""
+    params = typed_option(options, "--params")
+    return (
+        f"valve-sim simulate --profile {file} --duration {duration_of(drive):.2f}{params} --output {output}",
+        f"ros2 run valve_sim command_profile --ros-args -p profile:={file} -p valve:=/valve{most}",
+    )
+
+
+def profile_of(diagnosis: Diagnosis) -> Drive:
+    """The recording that a diagnosis of a valve recommends."""
+    driven = diagnosis.plant.driven if isinstance(diagnosis.plant, ValvePlant) else math.inf
+    return profile_to_record(diagnosis.recommendation, diagnosis.valve, driven)
 
 
 def write_record_next(folder: Path, diagnosis: Diagnosis, provenance: str, options: str = "") -> Path | None:
@@ -92,46 +98,31 @@ def write_record_next(folder: Path, diagnosis: Diagnosis, provenance: str, optio
         # One from an earlier run into this folder would advise what this diagnosis does not.
         path.unlink(missing_ok=True)
         return None
-    driven = diagnosis.plant.driven if isinstance(diagnosis.plant, ValvePlant) else math.inf
-    write_profile(path, diagnosis.recommendation, diagnosis.valve, provenance, options, driven)
+    write_profile(path, profile_of(diagnosis), diagnosis.recommendation, provenance, options)
     return path
 
 
 def write_profile(
-    path: Path,
-    recommendation: Recommendation | None,
-    valve: Valve,
-    provenance: str,
-    options: str = "",
-    driven: float = math.inf,
+    path: Path, drive: Drive, recommendation: Recommendation | None, provenance: str, options: str = ""
 ) -> None:
-    """Write record_next.yaml, whole or not at all.
+    """Write a profile, whole or not at all; the commands in its header work where this process was started.
 
-    The commands in its header can be typed where this process was started.
-
-    Args:
-        path: of the file.
-        recommendation: the pulse that separates the candidates best; None where none does.
-        valve: what is recorded.
-        provenance: how the diagnosis was made.
-        options, driven: as of `write_record_next` and `profile_to_record`.
+    Arguments are as of `write_record_next`; `recommendation` is what the profile tells apart.
 
     Raises:
         ValveError: it cannot be written.
     """
-    drive, file = profile_to_record(recommendation, valve, driven), shlex.quote(str(path))
+    simulate, command = typed_commands(drive, path, options, "next.mcap")
     notes = [
         *provenance.splitlines(),
         "",
         *_gain_words(recommendation),
         "",
         "Rows are [time in s, volts]; each voltage holds until the next row. Highest: "
-        f"{highest_of(drive):g} V; remove rows that your coil or its driver cannot stand.",
-        f"Simulate: valve-sim simulate --profile {file} --duration {duration_of(drive):.2f}{params_of(options)} "
-        "--output next.mcap",
-        f"Command:  ros2 run valve_sim command_profile --ros-args -p profile:={file} "
-        f"-p valve:=/valve{most_volts(drive)}",
-        f"Then diagnose the new recording together with the old one: valve-sim diagnose OLD NEW"
+        f"{max(abs(drive.volts)):g} V; remove rows that your coil or its driver cannot stand.",
+        f"Simulate: {simulate}",
+        f"Command:  {command}",
+        "Then diagnose the new recording together with the old one: valve-sim diagnose OLD NEW"
         f"{f' {options}' if options else ''} --output results",
     ]
     rows = [
