@@ -15,7 +15,7 @@ from typing import Final
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.model import CATALOGUE, Valve, ValveError
 from valve_sim.model.core.machine import when_compiling
-from valve_sim.model.core.plan import integrator
+from valve_sim.model.core.plan import OFTEN, integrator
 from valve_sim.model.gas import GasParameters
 from valve_sim.model.runs import WIDTHS
 
@@ -24,13 +24,13 @@ COMPILING: Final = "compiling the model for this machine, once"
 
 def warm() -> None:
     """Have compiled code at hand: the integrator, and the equations of a valve with each effect alone."""
-    integrator()
+    integrator(False)
     _warm_plans(default_valve(), has_gas=False)
 
 
 def warm_gas() -> None:
     """Have at hand what a valve with gas needs, with each effect alone."""
-    integrator()
+    integrator(True)
     sizes = GasParameters(1e7, 1e-5, 2e-4, 3e-3, 4e-3)
     for demand in (0.0, 1e-4):
         gas = sizes._replace(demand_orifice_diameter=demand)
@@ -42,7 +42,7 @@ def _warm_plans(valve: Valve, *, has_gas: bool) -> None:
     alone = [name for name, effect in CATALOGUE.items() if effect.is_of(has_gas=has_gas)]
     for effects in ({}, *({name: CATALOGUE[name].neutral_values()} for name in alone)):
         for width in WIDTHS:
-            replace(valve, effects=effects).plan(width)
+            replace(valve, effects=effects).plan(width, OFTEN)
 
 
 def main() -> int:

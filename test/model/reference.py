@@ -248,8 +248,12 @@ class ReferenceValve:
                 pilot[inside] = y[_SHOWN_PILOT] if self.cutoff else y[_X]
                 main[inside] = y[_SHOWN_MAIN] if self.cutoff else above
                 self.note(inside, y)
+            if "residual_magnetism" in self.e:  # a coil that heats has its largest current on the way
+                near = int(np.argmax([abs(self.coil(y)[0]) for y in solution.y.T]))
+                first, last = solution.t[max(near - 1, 0)], solution.t[min(near + 1, len(solution.t) - 1)]
+                close = solution.sol(np.linspace(first, last, 1001))
+                self.peak = max(self.peak, *(abs(self.coil(y)[0]) for y in close.T))
             self.t, self.y = float(solution.t[-1]), solution.y[:, -1].copy()
-            self.peak = max(self.peak, abs(self.coil(self.y)[0]))
             if solution.status == 1:
                 fired = [name for name, hits in zip(names, solution.t_events, strict=True) if len(hits)]
                 self.handle(fired[0])

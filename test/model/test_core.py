@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -90,6 +91,15 @@ def differs(valve: Valve, drive: Drive, times: np.ndarray) -> str:
 def test_an_effect_is_what_dop853_says(name: str) -> None:
     effects = {name: {key: 0.9 * low + 0.1 * high for key, (low, high) in RANGES[name].items()}}
     assert not differs(Valve(CALIBRATED.parameters, effects), Drive.of([1e-3, 16e-3], [9.0, 0.0]), TIMES)
+
+
+@pytest.mark.parametrize(
+    "names", [*itertools.combinations(("coil_heating", "eddy_lag", "magnetic_saturation", "residual_magnetism"), 2)]
+)
+def test_two_effects_of_the_coil_are_what_dop853_says(names: tuple[str, str]) -> None:
+    effects = {name: {key: 0.5 * (low + high) for key, (low, high) in RANGES[name].items()} for name in names}
+    drive = Drive.of([1e-3, 16e-3, 20e-3], [9.0, 0.0, 12.0])
+    assert not differs(Valve(CALIBRATED.parameters, effects), drive, 2.0 * TIMES)
 
 
 @pytest.mark.parametrize("seed", [34, 62, 44, 902, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(30))])

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from valve_sim.model import CATALOGUE, Drive, Effect, EventKind, Parameter, Phase, Stepper, Valve, simulate
-from valve_sim.model.core.plan import entry
 from valve_sim.model.core.symbols import Motion, Own
 from valve_sim.model.core.tracer import Node, where
 from valve_sim.model.core_types import Outcome
@@ -36,7 +35,7 @@ def steps(valve: Valve, until: float) -> int:
     def suffice(most: int) -> bool:
         block = plan.block(valve.numbers(), TOLERANCE, 0.0)
         own, none = block.ctypes.data, block.ctypes.data
-        outcome = entry("drive")(
+        outcome = plan.entry("drive")(
             own, none, commands.ctypes.data, len(commands), until, most, none, 0, none, 1, none, none, 0, none, none,
             none, none, 0,
         )  # fmt: skip

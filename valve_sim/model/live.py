@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from valve_sim.model.core import layout
 from valve_sim.model.core.driver import LIVE_EVENTS
 from valve_sim.model.core.gas import PREFIX
-from valve_sim.model.core.plan import Plan, entry
+from valve_sim.model.core.plan import Plan
 from valve_sim.model.core.samples import GAS_COLUMNS, ROW_COLUMNS
 from valve_sim.model.core_types import EventKind, Phase
 from valve_sim.model.response import Event
@@ -44,7 +44,7 @@ class Live:
         self.block, self.row = self._memory[: layout.SIZE], self._memory[layout.SIZE : layout.SIZE + columns]
         self._events = self._memory[_EVENTS_AT:].reshape(LIVE_EVENTS, 4)
         address = self._memory.ctypes.data
-        bound = [functools.partial(entry(name), address) for name in ("advance", "command", "halt")]
+        bound = [functools.partial(plan.entry(name), address) for name in ("advance", "command", "halt")]
         self.advance, self._command, self._halt = bound
 
     @classmethod
@@ -100,7 +100,7 @@ class Live:
     def supply(self, tank: float = math.nan, demand: float = math.nan) -> None:
         """Pressures of the tank, and behind the demand, Pa, from the state's time on; NaN: as before. Of a gas."""
         change = np.array([tank, 0.0, demand])
-        entry("set_pressures")(self._memory.ctypes.data, change.ctypes.data)
+        self.plan.entry("set_pressures")(self._memory.ctypes.data, change.ctypes.data)
 
     def _taken_events(self) -> tuple[Event, ...]:
         count = min(int(self.block[layout.COUNT]), LIVE_EVENTS)
@@ -138,7 +138,7 @@ class Live:
             block[layout.SHOWN_PILOT] = before[layout.X]
             block[layout.SHOWN_MAIN] = before[layout.X] - before[layout.GAP] if lifted else 0.0
         block[layout.PEAK] = max(block[layout.PEAK], abs(current))
-        entry("settle")(block.ctypes.data)
+        plan.entry("settle")(block.ctypes.data)
         found = Live(plan, block)
         found._events[:] = self._events
         return found

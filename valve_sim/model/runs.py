@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.model.core import layout
-from valve_sim.model.core.plan import Plan, entry
+from valve_sim.model.core.plan import Plan
 from valve_sim.model.core.samples import GAS_COLUMNS, ROW_COLUMNS
 from valve_sim.model.drives import Drive
 from valve_sim.model.errors import ParameterError
@@ -163,7 +163,7 @@ class Run:
         shown_of = 2 if self._tiles[0].block[layout.DENSITY] else 1
         positions, seen, events = np.empty(len(times)), np.empty((len(others), shown_of)), np.empty((room, 4))
         slopes, of_seen = np.empty((len(times), self._count)), np.empty((len(others), shown_of, self._count))
-        for _, block, tangents, own in self._tiles:
+        for plan, block, tangents, own in self._tiles:
             width, used = int(block[layout.WIDTH]), own.stop - own.start
             is_whole = used == width == self._count
             shown = slopes if is_whole else np.empty((len(times), width))
@@ -174,7 +174,7 @@ class Run:
                 moves[:, 0, :used] = self._directions.command_times[own, those].T
                 moves[:, 1, :used] = self._directions.command_volts[own, those].T
             block[[layout.COUNT, layout.SAMPLED, layout.SAMPLED_ROWS]] = 0.0
-            outcome = entry("drive")(
+            outcome = plan.entry("drive")(
                 block.ctypes.data, tangents.ctypes.data, commands.ctypes.data, len(commands), end,
                 most_steps(end - block[layout.TIME]), times.ctypes.data, len(times), positions.ctypes.data, 1,
                 shown.ctypes.data, others.ctypes.data, len(others), seen.ctypes.data, shown_others.ctypes.data,
@@ -197,7 +197,7 @@ class Run:
         columns = GAS_COLUMNS if tile.block[layout.DENSITY] else ROW_COLUMNS
         rows, events = np.empty((len(times), columns)), np.empty((room, 4))
         tile.block[[layout.COUNT, layout.SAMPLED, layout.SAMPLED_ROWS]] = 0.0
-        outcome = entry("drive")(
+        outcome = tile.plan.entry("drive")(
             block, block, commands.ctypes.data, len(commands), end, most_steps(end - tile.block[layout.TIME]),
             times.ctypes.data, len(times), rows.ctypes.data, columns, block, block, 0, block, block, block,
             events.ctypes.data, room,
@@ -213,11 +213,11 @@ class Run:
             numbers: (m,) of the valve. slopes: (k, m) derivatives of these.
         """
         values = np.ascontiguousarray(numbers)
-        for _, block, tangents, own in self._tiles:
+        for plan, block, tangents, own in self._tiles:
             moved = np.zeros((len(values), int(block[layout.WIDTH])))
             if slopes is not None:
                 moved[:, : own.stop - own.start] = slopes[own].T
-            entry("renumber")(block.ctypes.data, tangents.ctypes.data, values.ctypes.data, moved.ctypes.data)
+            plan.entry("renumber")(block.ctypes.data, tangents.ctypes.data, values.ctypes.data, moved.ctypes.data)
 
     def save(self) -> list[Array]:
         """All that a run without derivatives is, to be restored."""

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from valve_sim.model.core import layout
 from valve_sim.model.core.driver import CHANGES, LONGEST_RUN, MOST_STEPS
-from valve_sim.model.core.plan import entry
 from valve_sim.model.core.samples import GAS_COLUMNS, ROW_COLUMNS
 from valve_sim.model.core_types import EventKind, Outcome
 from valve_sim.model.drives import Drive, Supply
@@ -70,7 +69,7 @@ def simulate(
     end, rows = float(times[-1]) if count else -math.inf, np.empty((count, columns_of(valve)))
     while True:
         block = np.empty(layout.SIZE + 4 * room)
-        outcome = entry("whole")(
+        outcome = plan.entry("whole")(
             block.ctypes.data, plan.blank.ctypes.data, numbers.ctypes.data, len(numbers), commands.ctypes.data,
             len(commands), times.ctypes.data, count, rows.ctypes.data, room, start, end, tolerance,
         )  # fmt: skip
@@ -152,7 +151,7 @@ def run_numbers(
 
     Args:
         valve: whose effects all have.
-        numbers: (k, m) the numbers of each in the order of the plan's parameters, see `Valve.numbers`.
+        numbers: (k, m) the numbers of each in the order of `Valve.names`.
         drive: the commanded voltage.
         sample_times: (n,) s, ascending.
         tolerance: relative error of one step.
@@ -169,7 +168,7 @@ def run_numbers(
     positions = np.empty((len(numbers), len(times)))
     commands = commands_of(drive)
     start = start_of(drive, times)
-    plan = valve.plan()
+    plan = valve.plan(runs=len(numbers))
     blank = plan.blank.copy()
     blank[layout.TOLERANCE] = tolerance
     workers = threads or os.cpu_count() or 1
@@ -178,7 +177,7 @@ def run_numbers(
 
     def work(chunk: Any) -> int:
         own, shown, room = numbers[chunk[0] :], positions[chunk[0] :], np.empty(layout.SIZE)
-        done = entry("batch")(
+        done = plan.entry("batch")(
             room.ctypes.data, blank.ctypes.data, own.ctypes.data, own.shape[1], len(chunk), start,
             commands.ctypes.data, len(commands), end, most_steps(end - start), times.ctypes.data, len(times),
             shown.ctypes.data,

@@ -92,12 +92,12 @@ class Valve:
             raise ParameterError(f"{source}: effects.{why_not}")
         return valve
 
-    def plan(self, width: int = 0) -> Plan:
-        """The compiled equations of a valve with these effects, with so many directions of derivatives."""
+    def plan(self, width: int = 0, runs: int = 1) -> Plan:
+        """Its equations with these effects, compiled, with so many directions of derivatives, for some runs."""
         gas = self.gas
         return plan_of(
             self._all_effects(), self._shapes(), width, freewheels=self.parameters.release_voltage > 0.0,
-            has_gas=gas is not None, has_demand=gas is not None and gas.demand_orifice_diameter > 0.0,
+            has_gas=gas is not None, has_demand=gas is not None and gas.demand_orifice_diameter > 0.0, runs=runs,
         )  # fmt: skip
 
     def _own_effects(self) -> list[str]:

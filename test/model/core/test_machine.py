@@ -10,8 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from valve_sim.model.core import machine
+from model.core.cases import DRAWN
+from valve_sim.model import simulate
+from valve_sim.model.core import layout, machine, plan
 from valve_sim.model.core.machine import made_once
+from valve_sim.model.runs import WIDTHS, Directions, run_sloped
 
 TEXT = "define double @twice(double %x) {\n  %y = fadd double %x, %x\n  ret double %y\n}\n"
 
@@ -33,6 +36,25 @@ def test_code_is_compiled_once_and_loaded_thereafter(tmp_path: Path, monkeypatch
     assert len(made) == 1 and len(list((tmp_path / "new").iterdir())) == 1
     assert call(machine.library("another key", text)) == 42.0
     assert len(made) == 2
+
+
+@pytest.mark.parametrize("kind", DRAWN)
+def test_better_code_gives_the_same_numbers_to_the_last_bit(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    draw, times = DRAWN[kind]
+    for seed in range(4, 6):
+        monkeypatch.setenv("VALVE_SIM_CACHE", str(tmp_path / str(seed)))  # where nothing is that was compiled well
+        plan._kept_plan.cache_clear()
+        valve, drive = draw(seed)
+        directions = Directions.of(valve, drive, ["main_damping", "a0", "moving_mass", "stroke", "spring_preload"])
+        found, code = [], set()
+        for runs in (1, plan.OFTEN):
+            code.add(valve.plan(WIDTHS[-1], runs).blank[layout.LOOK])
+            whole, sloped = simulate(valve, drive, times), run_sloped(valve, drive, times, directions)
+            found.append([own.tobytes() for own in (whole.pilot_velocity, whole.coil_current, sloped.of_positions)])
+            valve.plan(0, plan.OFTEN)
+        assert found[0] == found[1] and len(code) == 2
 
 
 def test_a_folder_that_others_can_write_to_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -61,8 +61,11 @@ CURVED: Final = ("exp", "log", "expm1", "log1p", "sin", "cos", "tanh", "power", 
 
 
 def _is_curved(guard: Node) -> bool:
-    """Whether what is compared is more than a polynomial of time and the states."""
-    return any(node.op in CURVED and not node.steady for node in ancestors([guard]))
+    """Whether what is compared is more than a polynomial of time and the states.
+
+    A largest value so far, while it grows, is watched by its slope, which its own value says nothing of.
+    """
+    return guard.op != "rising" and any(node.op in CURVED and not node.steady for node in ancestors([guard]))
 
 
 class Kernels:

@@ -10,6 +10,7 @@ numbers, of which one is read at a time.
 from __future__ import annotations
 
 import ast
+import functools
 import inspect
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
@@ -40,15 +41,21 @@ class Typed(NamedTuple):
     type: str
 
 
-def lowered(functions: Sequence[Callable[..., Any]], entries: Sequence[str]) -> str:
+def lowered(functions: Sequence[Callable[..., Any]], entries: Sequence[str], zeros: Sequence[str] = ()) -> str:
     """The text of some functions, of which `entries` can be called from outside.
+
+    Args:
+        zeros: what is read of a block and known to be 0, as it is written, `b[at.DENSITY]`: LLVM leaves out what is
+            never reached then.
 
     Raises:
         SyntaxError: a function uses what is not part of the language; the message has its name and line.
     """
     known = {function.__name__: function for function in functions}
     tables: dict[str, tuple[float, ...]] = {}
-    parts = [_Function(function, known, tables).text(public=function.__name__ in entries) for function in functions]
+    parts = [
+        _Function(function, known, tables, zeros).text(public=function.__name__ in entries) for function in functions
+    ]
     kinds = {"fmuladd": 3, "pow": 2}
     declared = [f"declare double @llvm.{name}.f64(double)" for name, _ in _FUNCTIONS.values() if name]
     declared += [f"declare double @llvm.{name}.f64({', '.join(['double'] * count)})" for name, count in kinds.items()]
@@ -60,6 +67,13 @@ def lowered(functions: Sequence[Callable[..., Any]], entries: Sequence[str]) -> 
     return "\n".join([*declared, "declare double @expm1(double)", *constants, *parts])
 
 
+@functools.cache
+def _parsed(function: Callable[..., Any]) -> ast.FunctionDef:
+    (tree,) = ast.parse(textwrap.dedent(inspect.getsource(function))).body
+    assert isinstance(tree, ast.FunctionDef)
+    return tree
+
+
 class _Function:
     """One function that is being lowered."""
 
@@ -68,11 +82,12 @@ class _Function:
         function: Callable[..., Any],
         known: Mapping[str, Callable[..., Any]],
         tables: dict[str, tuple[float, ...]],
+        zeros: Sequence[str],
     ) -> None:
         assert isinstance(function, FunctionType)
-        tree = ast.parse(textwrap.dedent(inspect.getsource(function))).body[0]
-        assert isinstance(tree, ast.FunctionDef)
+        tree = _parsed(function)
         self._tree, self._globals, self._known, self._tables = tree, function.__globals__, known, tables
+        self._zeros = zeros
         self._name = function.__name__
         self._lines: list[str] = []
         self._places: list[str] = []
@@ -330,6 +345,8 @@ class _Function:
         if isinstance(node.slice, ast.Slice):
             assert node.slice.lower is not None
             return self._place(node.value, node.slice.lower)
+        if ast.unparse(node) in self._zeros:
+            return Typed(literal(0.0), "double")
         return self._new(f"load double, {POINTER} {self._place(node.value, node.slice).text}", "double")
 
     def _of_BinOp(self, node: ast.BinOp) -> Typed:  # noqa: N802
@@ -426,7 +443,7 @@ class _Function:
             return self._new(f"call double @{symbol}(double {self._cast(values[0], 'double').text})", "double")
         if name not in self._known:
             raise self._fail(node, "unknown function")
-        called = _Function(self._known[name], self._known, self._tables)
+        called = _Function(self._known[name], self._known, self._tables, self._zeros)
         given = ", ".join(
             f"{kind} {self._cast(value, kind).text}" for value, (_, kind) in zip(values, called.arguments, strict=True)
         )

@@ -137,7 +137,15 @@ class Library:
         return int(self._engine.get_function_address(name))
 
 
-def _target_machine(level: int = 2) -> Any:
+QUICKLY, WELL, AS_A_WHOLE = 0, 1, 2
+"""How hard code is optimised: see `library`."""
+
+
+INLINED: Final = 10
+"""LLVM's cost of a call that is worth its function's body: more of them take longer to compile and run no faster."""
+
+
+def _target_machine(level: int = WELL) -> Any:
     """A description of this processor, and how hard code is optimised for it; each engine takes one of its own."""
     _initialise()
     target = llvm.Target.from_default_triple()
@@ -152,50 +160,47 @@ def _initialise() -> None:
     llvm.initialize_native_asmprinter()
 
 
-def compiled(text: str, *, is_straight: bool = False) -> bytes:
-    """The object file of a text.
-
-    Straight-line code is simplified when its graph is made. All of LLVM's passes would take a third longer and make it
-    no faster; code with branches and calls needs them.
-    """
-    machine = _target_machine(1 if is_straight else 2)
+def compiled(text: str, effort: int = AS_A_WHOLE) -> bytes:
+    """The object file of a text; `effort` as of `library`."""
+    machine = _target_machine(min(effort, WELL))
     module = llvm.parse_assembly(text)
     module.verify()
-    builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=2))
-    if is_straight:
-        passes = llvm.create_new_module_pass_manager()
-        passes.add_instruction_combine_pass()
-    else:
-        passes = builder.getModulePassManager()
-    passes.run(module, builder)
+    if effort == AS_A_WHOLE:
+        options = llvm.create_pipeline_tuning_options(speed_level=1)
+        options.loop_vectorization = options.loop_interleaving = False  # loops are short
+        options.inlining_threshold = INLINED
+        builder = llvm.create_pass_builder(machine, options)
+        builder.getModulePassManager().run(module, builder)
     return bytes(machine.emit_object(module))
 
 
-def library(key: str, text: Callable[[], str], *, is_straight: bool = False) -> Library:
+def library(key: str, text: Callable[[], str], effort: int = AS_A_WHOLE) -> Library:
     """The code of a text: from disk if it is there, else compiled and kept.
 
     Args:
         key: equal for equal texts, given the sources of this package.
         text: makes the text, if it has to be compiled.
-        is_straight: see `compiled`.
+        effort: `AS_A_WHOLE`, by LLVM's passes, of code with branches and calls. Straight-line code is simplified
+            when its graph is made, and they would bring nothing: `WELL` or `QUICKLY`, in a quarter of the time, to code
+            that takes up to a third longer and gives the same numbers. Code that is better than asked for will do.
     """
     name = hashlib.sha256(f"{sources()} {key}".encode()).hexdigest()[:32]
     kept = folder_in_use()
     if kept is None:
-        return Library(_compiled(text, is_straight))
-    path = kept / f"{name}.o"
+        return Library(_compiled(text, effort))
+    for better in range(AS_A_WHOLE, effort - 1, -1):
+        with contextlib.suppress(OSError):
+            return Library((kept / f"{name}.{better}.o").read_bytes())
+    code = _compiled(text, effort)
     with contextlib.suppress(OSError):
-        return Library(path.read_bytes())
-    code = _compiled(text, is_straight)
-    with contextlib.suppress(OSError):
-        _keep(path, code)
+        _keep(kept / f"{name}.{effort}.o", code)
     return Library(code)
 
 
-def _compiled(text: Callable[[], str], is_straight: bool) -> bytes:
+def _compiled(text: Callable[[], str], effort: int) -> bytes:
     while _SAID:
         _SAID.pop()()
-    return compiled(text(), is_straight=is_straight)
+    return compiled(text(), effort)
 
 
 def _keep(path: Path, code: bytes) -> None:

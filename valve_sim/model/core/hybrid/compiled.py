@@ -79,7 +79,7 @@ class Compiled:
         kernels = Kernels(system, free, width)
         self.width, self._system, self.outputs = width, system, len(system.outputs)
         self._slots, self._rooms = kernels.slots, list[_Room]()
-        self._library = machine.library(f"hybrid {system.digest} {free} {width}", kernels.text, is_straight=True)
+        self._library = machine.library(f"hybrid {system.digest} {free} {width}", kernels.text, machine.WELL)
         self._blank = self._made()
 
     def _made(self) -> Array:
