@@ -99,6 +99,27 @@ def test_the_stop_bends_the_current() -> None:
     assert [event.time for event in found] == pytest.approx(truth.tolist(), abs=30e-6)
 
 
+@pytest.mark.parametrize("noise", [0.1e-3, 1e-3])
+@pytest.mark.parametrize("rate", [10e3, 20e3])
+def test_arrivals_by_the_current_are_within_their_errors(rate: float, noise: float) -> None:
+    random, deviations, openings = np.random.default_rng(2), [], 0
+    for build in (Build(), BUILD, Build(knee=1.2, pilot_damping=2.5, main_damping=7.0)):
+        drive = Drive.of((DRIVE.times + random.uniform(0.0, 1e-3, 4)).tolist(), [10.3, 0.0, 14.0, 0.0])
+        times = np.arange(round(0.13 * rate)) / rate
+        shown = simulate(build, drive.times, drive.volts, times)
+        truth = {"reaches_stop": shown.reached_stop, "pilot_reaches_main": shown.reached_gap}
+        for _ in range(4):
+            current = Signal(times, shown.current + noise * random.standard_normal(len(times)))
+            trace = Trace("coil alone", drive, times[:0], times[:0], coil_current=current)
+            for stroke, events in events_from_sensors(trace, 0.26e-3):
+                openings += stroke.kind == "opening"
+                for event in events if stroke.kind == "opening" else ():
+                    true = next(time for time in truth[event.kind] if stroke.start < time < stroke.stop)
+                    deviations.append((event.time - true) / event.stderr)
+    assert len(deviations) >= 0.8 * openings
+    assert np.mean(np.abs(deviations) < 1.96) >= 0.95
+
+
 def test_nothing_bends_the_current_of_a_valve_that_is_held() -> None:
     trace, position = recorded(BUILD._replace(seat_load=100.0))
     assert not position.any()

@@ -88,17 +88,19 @@ def fleet_document(rows: Sequence[Row]) -> tuple[doc.Document, list[str]]:
     valves = [_valve(name, by_valve[name], (series[name], effects[name]), drifting.get(name, [])) for name in names]
     refused = sorted((row for row in rows if row["state"] != EXAMINED), key=lambda row: str(row["source"]))
     hint = "A row unfolds: trends with their 95 % intervals, and the report of each bag in which something is wrong."
-    shown = [doc.Row((row["source"], row["state"], row["error"]), row["valve"] or "") for row in refused[:MOST_LISTED]]
+    shown = [
+        doc.TableRow((row["source"], row["state"], row["error"]), row["valve"] or "") for row in refused[:MOST_LISTED]
+    ]
     more = max(0, len(refused) - MOST_LISTED)
     also = [doc.Words(f"And {more} more, which fleet.parquet lists.", style="soft")] if more else []
     bags = doc.Table(("bag", "state", "why"), shown)
     made = [("Made by", f"valve_sim {__version__}")]
     made += [(term, words.format(sum(map(len, series.values())), FEWEST, 100.0 * FALSE_ALARMS)) for term, words in MADE]
     sections = [
-        doc.Section("", [doc.Words(_counts(rows), style="soft")]),
-        doc.Section("Valves, what is wrong first", [doc.Words(hint, style="soft"), *valves]),
-        doc.Section("Bags without a result, and why", [bags, *also] if refused else []),
-        doc.Section("How this was made", [doc.Table(("", ""), [doc.Row(row) for row in made])]),
+        doc.Chapter("", [doc.Words(_counts(rows), style="soft")]),
+        doc.Chapter("Valves, what is wrong first", [doc.Words(hint, style="soft"), *valves]),
+        doc.Chapter("Bags without a result, and why", [bags, *also] if refused else []),
+        doc.Chapter("How this was made", [doc.Table(("", ""), [doc.TableRow(row) for row in made])]),
     ]
     headline = _headline(len(drifting), len(valves), len(refused))
     told = [f"{name}: {_drift_words(drifting[name][0])}" for name in names if drifting.get(name)]
@@ -151,7 +153,7 @@ def _valve(
         ("bag", "result"),
         [
             # A name in a URL's path: whatever it holds, it leads nowhere else.
-            doc.Row(
+            doc.TableRow(
                 (_date(row["start_time"]), f"{_state([row])}: {row['summary']}"),
                 row["source"],
                 link=quote(row["report"] or ""),
@@ -220,9 +222,9 @@ def _plot(series: Series, drift: Drift | None) -> doc.Plot:
     chosen = np.unique(np.linspace(0, len(series.values) - 1, MOST_DRAWN).astype(np.intp))
     days, values, errors = series.days[chosen] - series.days[0], series.values[chosen], series.errors[chosen]
     scale, unit = readable(series.quantity.unit, float(np.median(np.abs(values))))
-    curves = [doc.Curve("after", scale * values, has_dots=True)]
+    curves = [doc.Line("after", scale * values, has_dots=True)]
     if drift is not None:
-        curves.append(doc.Curve("before", scale * (np.median(values - drift.slope * days) + drift.slope * days)))
+        curves.append(doc.Line("before", scale * (np.median(values - drift.slope * days) + drift.slope * days)))
     name, half = _title(series.quantity.name), 1.96 * errors
     label = f"{name}, {unit}" if unit else name
     panel = doc.Panel(label, curves, scale * (values - half), scale * (values + half))

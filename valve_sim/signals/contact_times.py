@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from valve_sim.signals.motion import medians_of_three
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -36,6 +38,12 @@ class PositionNoise(NamedTuple):
     together: float
     level: float
 
+    @property
+    def of_pairs(self) -> PositionNoise:
+        """Of means of two neighbouring samples."""
+        together = self.together / math.sqrt(2.0)
+        return PositionNoise(min(self.sigma, together), together, self.level)
+
 
 class Contact(NamedTuple):
     """When a motion got to a level, s, and the standard error of that, s."""
@@ -54,6 +62,15 @@ def contact_time(times: Array, way: Array, length: float, noise: PositionNoise) 
         noise: of the way.
     """
     margin = CERTAIN * noise.sigma + REST
+    until = int(np.argmax(way >= length)) or len(way)
+    midway = np.count_nonzero(np.abs(way[:until] / length - 0.5) < 0.5 * LAST)
+    if midway > FEWEST and LAST * length < 2.0 * CERTAIN * noise.sigma * midway:
+        return contact_time(*_of_pairs(times, way), length, noise.of_pairs)
+    is_off = np.zeros(len(way), dtype=bool)
+    if midway > FEWEST:  # then a single reading that is off is no motion
+        read, way = way, medians_of_three(np.concatenate([way[:1], way, way[-1:]]))
+        is_off = np.abs(read - way) > margin
+        way = np.where(is_off, way, read)
     close = np.flatnonzero(way >= length - margin)
     if len(close) == 0 or close[0] == 0:
         return None
@@ -66,7 +83,8 @@ def contact_time(times: Array, way: Array, length: float, noise: PositionNoise) 
     if near - first < FEWEST:
         return Contact(0.5 * (low + late), (late - low) / math.sqrt(12.0))
     half, scale = LAST * length, high - float(times[first])
-    at, values = (times[first:near] - high) / scale, way[first:near]
+    used = first + np.flatnonzero(~is_off[first:near])
+    at, values = (times[used] - high) / scale, way[used]
     # A motion that is no parabola is off it by the cube of how far it is from the level.
     spread = np.hypot(max(noise.together, FINEST), CURVED * half * np.abs(at) ** 3)
     design = np.vander(at, 3, increasing=True) / spread[:, None]
@@ -78,3 +96,9 @@ def contact_time(times: Array, way: Array, length: float, noise: PositionNoise) 
     powers = ahead ** np.arange(3)
     error = math.hypot(math.sqrt(float(powers @ covariance @ powers)), noise.level) / slope
     return Contact(float(np.clip(high + ahead * scale, low, late)), float(min(error * scale, late - low)))
+
+
+def _of_pairs(times: Array, values: Array) -> tuple[Array, Array]:
+    """Means of times and values, (n,) each, of every two samples that follow each other, (n // 2,) each."""
+    even = len(times) // 2 * 2
+    return times[:even].reshape(-1, 2).mean(axis=1), values[:even].reshape(-1, 2).mean(axis=1)

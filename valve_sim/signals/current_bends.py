@@ -6,6 +6,7 @@ plainest tells the time. A current that motion does not bend, or that is sampled
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -25,6 +26,8 @@ AS_PLAIN: Final = 0.5
 """Share of the plainest bend's standard errors that an earlier one has, of a contact before it."""
 BETTER: Final = 3.0
 """By this factor a bend must lower the variance of what is left: a smooth curve is no cubic either."""
+SHARPEST: Final = 0.05
+"""Of the interval between samples: the least standard error, of a bend that takes a part of it."""
 EVEN: Final = 0.02
 """Relative scatter of sampling intervals that are taken for equal."""
 STEPS: Final = 41
@@ -73,8 +76,13 @@ def _bend(times: Array, values: Array, order: int) -> Bend | None:
     # A plunger that bounces meets the stop again: the first of those that are about as plain is when it arrived.
     plain = np.flatnonzero(plainness >= max(PLAIN, AS_PLAIN * float(plainness.max())))
     best = int(plain[0]) + int(np.argmax(plainness[plain[0] : plain[0] + half]))
-    inside = slice(best, best + 2 * half + 1)
-    return _refined(times[inside], values[inside], order)
+    wide, narrow = (
+        _refined(times[inside], values[inside], order)
+        for inside in (slice(best + half - own, best + half + own + 1) for own in (half, max(FEWEST, half // 2)))
+    )
+    # A current is no cubic: what that makes of the time is seen by looking at less of it.
+    error = math.hypot(narrow.stderr, narrow.time - wide.time, SHARPEST * interval)
+    return Bend(wide.time, error)
 
 
 def _plainness(windows: Array, place: Array, order: int) -> tuple[Array, Array]:

@@ -202,7 +202,8 @@ def _clipped(positions: Array, away: Mask, step: float) -> Mask:
         counts = [int(np.count_nonzero(own)) for own in (at_end, near, beyond)]
         if counts[0] < max(FEWEST_CLIPPED, CLIPPED * counts[1]) or counts[2] > CLIPPED * counts[0]:
             continue
-        if 2.0 * noise.likeliest * counts[1] < counts[0]:
+        # Between coarse steps noise shows at one rest, and not at the other.
+        if noise.likeliest < HABIT and 2.0 * noise.likeliest * counts[1] < counts[0]:
             found |= near
     return found
 

@@ -42,8 +42,9 @@ SMALLEST: Final = 0.1e-6
 """m; noise that is assumed where there is less, so that rounding is no finding."""
 BY_CHANCE: Final = 1e-3
 """Expected number, in a whole recording, of rows of equal readings that noise makes and the sensor is blamed for."""
-HIDDEN: Final = 0.9
-"""Probability of the likeliest reading at rest, above which a sensor's steps hide its noise: it repeats lawfully."""
+HIDDEN: Final = 0.5
+"""Probability of the likeliest reading at rest, above which a sensor's steps hide its noise: it repeats lawfully. One
+that rests between two steps shows both, with a likeliest one of 0.6; elsewhere it shows one of them."""
 
 
 class RestingNoise(NamedTuple):

@@ -232,7 +232,7 @@ def _refuse_what_is_no_recording(path: Path) -> None:
     # os.path says False of names that cannot be, where Path raises.
     if not os.path.exists(path):  # noqa: PTH110
         raise TraceError(f"{path}: does not exist; give a rosbag2 folder or a .mcap file")
-    if path.suffix == ".bag":
+    if path.suffix == ".bag" or (path.is_dir() and not _storage_files(path) and any(path.glob("*.bag"))):
         raise TraceError(f"{path}: is a ROS 1 bag, a rosbag2 folder or .mcap file is needed; rosbags-convert makes one")
     if path.is_dir():
         inside = _recordings_in(path)

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 
 from valve_sim.identification.fit.curves import Unexplained
-from valve_sim.identification.reporting.force_curves import Motion, force_curve
+from valve_sim.identification.reporting.force_curves import MovingSamples, force_curve
 
 KNOTS = 8
 POINTS = 141
 STROKE = 1.23e-3
 
 
-def moving(position: np.ndarray, velocity: np.ndarray, current: float = 1.0) -> Motion:
+def moving(position: np.ndarray, velocity: np.ndarray, current: float = 1.0) -> MovingSamples:
     count = len(position)
     gap = (position > 0.26e-3).astype(np.int64)
-    return Motion(position, velocity, np.linspace(0.0, 0.1, count), np.full(count, current), gap)
+    return MovingSamples(position, velocity, np.linspace(0.0, 0.1, count), np.full(count, current), gap)
 
 
 def entry(variable: str, low: float, high: float, force: np.ndarray) -> Unexplained:
@@ -36,7 +36,6 @@ def test_a_knot_that_the_data_never_reached_counts_for_nothing() -> None:
     assert curve.rms == pytest.approx(0.15, rel=0.05)
     assert np.nanmax(curve.force) == pytest.approx(0.15, rel=0.05)
     assert np.isnan(curve.force[curve.at > 0.55 * 1e3 * STROKE]).all()
-    assert curve.is_partial
     assert "0.6" in curve.where.split(" to ")[1]
     assert np.flatnonzero(np.isfinite(curve.force)).max() < len(curve.at) // 2 + 5
 

@@ -21,7 +21,7 @@ from valve_sim.identification.fit.descent import descend
 from valve_sim.identification.fit.gaussian import Gaussian, MachineKnowledge, Sizes
 from valve_sim.identification.fit.gram import gram
 from valve_sim.identification.fit.model import Model
-from valve_sim.identification.fit.problem import LEVELS, Problem
+from valve_sim.identification.fit.problem import Problem, weigh_outliers
 from valve_sim.identification.fit.process import Process
 from valve_sim.identification.fit.recordings import columns_like, fit_recording, free_of_prior, sizes_like
 from valve_sim.identification.fit.result import Fit, rmse
@@ -184,12 +184,15 @@ class HeldOut:
         there = self.fit(result)
         if there is None:
             return
-        for level in LEVELS:
-            robust = there.problem.without_outliers(there.values, level)
-            if robust is not there.problem:
-                self.problem = robust
-                self._fits.clear()
-                there = self.fit(result) or there
+
+        def again(robust: Problem) -> Mapping[str, float]:
+            nonlocal there
+            self.problem = robust
+            self._fits.clear()
+            there = self.fit(result) or there
+            return {} if there is None else there.values
+
+        weigh_outliers(there.problem, there.values, again)
         self.problem, self._sizes = there.problem, there.gaussian.sizes
 
     def predicted(self, result: Fit, tau: float = 0.0) -> Predicted | None:

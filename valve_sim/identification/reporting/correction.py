@@ -17,7 +17,7 @@ from valve_sim.identification.plants.hold_out import UnderConditions
 from valve_sim.identification.plants.protocol import READABLE_UNITS, primary_channels
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.claims import curve_words
-from valve_sim.identification.reporting.document import Block, Items, Row, Section, Table, Words
+from valve_sim.identification.reporting.document import Block, Chapter, Items, Table, TableRow, Words
 from valve_sim.identification.reporting.units import in_unit, quantity
 
 LISTED: Final = 12
@@ -30,7 +30,7 @@ IN_REACH: Final = 1.2
 """Error of the corrected model over the noise, up to which nothing is said to be left."""
 
 
-def correction_section(diagnosis: Diagnosis) -> Section:
+def correction_section(diagnosis: Diagnosis) -> Chapter:
     """How well the correction predicts strokes that it has not seen, what each name is worth, and what is left."""
     correction, unit = diagnosis.correction, _unit(diagnosis)
     fields = {
@@ -40,13 +40,13 @@ def correction_section(diagnosis: Diagnosis) -> Section:
     }
     if correction is None or not correction.names or not correction.conditions:
         is_told = correction is not None and correction.is_applied and correction.names
-        return Section(fields=fields | ({"correction": _json(diagnosis, correction)} if correction and is_told else {}))
+        return Chapter(fields=fields | ({"correction": _json(diagnosis, correction)} if correction and is_told else {}))
     way = "Each condition was left out in turn" if correction.parts and len(correction.conditions) > 1 else "Left out"
     how = "real refits" if correction.is_refitted else "to first order"
     conditions = Table(
         ("strokes that were left out", "error before", "error after"),
         [
-            Row((condition.words, quantity(condition.before, unit), quantity(condition.after, unit)))
+            TableRow((condition.words, quantity(condition.before, unit), quantity(condition.after, unit)))
             for condition in correction.conditions[:LISTED]
         ],
     )
@@ -58,7 +58,7 @@ def correction_section(diagnosis: Diagnosis) -> Section:
     else:
         fields["correction"] = _json(diagnosis, correction)
         blocks.append(Items([*map(_grade_words, diagnosis.grades), *_left_words(diagnosis, correction)]))
-    return Section("How well it predicts strokes that it has not seen", blocks, fields)
+    return Chapter("How well it predicts strokes that it has not seen", blocks, fields)
 
 
 def _grade_words(grade: Grade) -> str:

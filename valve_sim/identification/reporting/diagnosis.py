@@ -22,7 +22,7 @@ from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting import claims, values
 from valve_sim.identification.reporting import document as doc
 from valve_sim.identification.reporting.correction import correction_section
-from valve_sim.identification.reporting.force_curves import Motion, force_curve, motion_of, unexplained_json
+from valve_sim.identification.reporting.force_curves import MovingSamples, force_curve, motion_of, unexplained_json
 from valve_sim.identification.reporting.record_next import profile_of, typed_commands, typed_option
 from valve_sim.identification.reporting.recording_state import limits_table, recording_sections
 from valve_sim.identification.reporting.strokes import strokes_followed, worst_first
@@ -47,30 +47,24 @@ _SMALLEST_PROBABILITY: Final = 1e-6
 """Smaller p-values are shown as below this one."""
 LEGEND: Final = (("measured", "measured"), ("before", "before"), ("after", "after"))
 BAND: Final = (
-    "Below each stroke: measured − model, and the band of two standard deviations that the corrected model predicts, "
-    "noise included. Errors are over all samples; drawn are, of equal bins, the samples at which a curve or a "
-    "residual is lowest or highest."
+    "Below each stroke: measured − model. The band is two standard deviations that the corrected model predicts, with "
+    "noise. Errors are over all samples; plots show the extremes of equal bins."
 )
 TRIED: Final = (
-    "Each set of effects that was fitted beside the declared model; a click on a title sorts. Probability: the "
-    "posterior probability, among all sets that were tried. Ln evidence: the natural logarithm of the Bayes factor "
-    "against the declared model, which penalises free parameters; +5 means odds of 150 to 1. Held-out strokes are "
-    "predicted, not fitted."
+    "Sets of effects that were fitted beside the declared model; click a title to sort. Probability is posterior, "
+    "among all sets that were tried. Ln evidence is the logarithm of the Bayes factor against the declared model: +5 "
+    "means odds of 150 to 1. Held-out strokes are predicted, not fitted."
 )
 FORCES: Final = (
-    "For each variable, the force over it that best explains the residual of the refitted declared model. The best "
-    "explanation comes first: the one with the largest ln evidence over the declared model. The band is two standard "
-    "errors, and rms is the force while the machine moves. Gaps are places that the recording did not reach, or at "
-    "which a stop takes up any force: the data do not determine the force there."
+    "For each variable, the force over it that best explains the residual of the refitted declared model, the best "
+    "first. The band is two standard errors; rms is while the machine moves. The data do not determine the force in "
+    "the gaps, which the recording did not reach or where a stop takes up any force."
 )
 FOLLOWED: Final = (
-    "No position was measured in these strokes. It is computed by the corrected model, and is right as far as that "
-    "model is. The band is two standard errors of the estimated parameters."
+    "No position was measured in these strokes. The corrected model computes it, with two standard errors of the "
+    "estimated parameters as the band. It is as right as that model is."
 )
-OUTDONE: Final = (
-    "No force over position, velocity or time alone explains the data nearly as well as the named effects, so none is"
-    " shown."
-)
+OUTDONE: Final = "No force over position, velocity or time alone explains the data nearly as well as the named effects."
 
 
 def diagnosis_document(
@@ -114,7 +108,7 @@ def _response(diagnosis: Diagnosis) -> Channel:
     return diagnosis.plant.channels[primary_channels(diagnosis.plant)[0]]
 
 
-def _verdict(diagnosis: Diagnosis) -> doc.Section:
+def _verdict(diagnosis: Diagnosis) -> doc.Chapter:
     """The verdict beside the headline, and what the errors come to."""
     verdict, before, after = diagnosis.verdict, diagnosis.before, diagnosis.after
     scale, unit = _response(diagnosis).readable
@@ -132,7 +126,7 @@ def _verdict(diagnosis: Diagnosis) -> doc.Section:
     chosen = claims.choice_words(diagnosis), claims.holdout_words(diagnosis)
     remarks = (claims.rounding_words(diagnosis), unseen, *claims.grounds(diagnosis))
     untried = [doc.Items(diagnosis.untried, f"{len(diagnosis.untried)} sets that were left untried", on="page")]
-    return doc.Section(
+    return doc.Chapter(
         "",
         [
             doc.Words(errors, style="soft"),
@@ -165,14 +159,14 @@ def _verdict(diagnosis: Diagnosis) -> doc.Section:
     )
 
 
-def _meaning(diagnosis: Diagnosis, *, is_sure: bool) -> doc.Section:
+def _meaning(diagnosis: Diagnosis, *, is_sure: bool) -> doc.Chapter:
     told, alike = claims.meanings(diagnosis), diagnosis.verdict.confusable_with
     title = "What it means" if is_sure else "What it would mean"
     entries = [claims.meaning_entry(name, meaning, alike.get(name, ())) for name, meaning in told.items()]
-    return doc.Section(title, entries, {"meaning": told})
+    return doc.Chapter(title, entries, {"meaning": told})
 
 
-def _record_next(diagnosis: Diagnosis, folder: Path | None, options: str) -> doc.Section:
+def _record_next(diagnosis: Diagnosis, folder: Path | None, options: str) -> doc.Chapter:
     """What to record next, what that is expected to show, and the commands."""
     advice, best = claims.recording_advice(diagnosis), diagnosis.recommendation
     fields: dict[str, Any] = {"record_next": advice or None, "record_next_gain": None}
@@ -188,7 +182,7 @@ def _record_next(diagnosis: Diagnosis, folder: Path | None, options: str) -> doc
             for pair, apart in best.together
         ]
         if advice:
-            expected = "What this recording is expected to show, all else refitted:"
+            expected = "By how much this recording is expected to separate them, all else refitted:"
             blocks += [doc.Words(expected, on="page"), doc.Items(pairs, on="page")]
     if advice and isinstance(diagnosis.plant, ValvePlant):
         drive = profile_of(diagnosis)
@@ -197,11 +191,11 @@ def _record_next(diagnosis: Diagnosis, folder: Path | None, options: str) -> doc
         )
         file = (folder or Path()) / "record_next.yaml"
         simulate, command = typed_commands(drive, file, options, "expected.csv")
-        blocks += [doc.Words(f"{care} your coil.", on="page"), doc.Commands([simulate, command])]
-    return doc.Section("What to record next", blocks, fields)
+        blocks += [doc.Words(f"{care} your coil.", on="page"), doc.Typed([simulate, command])]
+    return doc.Chapter("What to record next", blocks, fields)
 
 
-def _before_and_after(diagnosis: Diagnosis) -> doc.Section:
+def _before_and_after(diagnosis: Diagnosis) -> doc.Chapter:
     """Errors and values of the refitted declared model and of the corrected one."""
     verdict, before, after = diagnosis.verdict, diagnosis.before, diagnosis.after
     scale, unit = _response(diagnosis).readable
@@ -221,12 +215,12 @@ def _before_and_after(diagnosis: Diagnosis) -> doc.Section:
         "χ² per sample": [f"{state.fit.chi2 / state.fit.problem.effective_samples:.4g}" for state in states],
     }
     models = ("declared model, refitted", "corrected model")[: len(states)]
-    rows = [doc.Row((label, *cells, "")) for label, cells in lines.items()]
+    rows = [doc.TableRow((label, *cells, "")) for label, cells in lines.items()]
     table = doc.Table(("", *models, "95 % interval"), [*rows, *values.value_rows(diagnosis)], is_by_name=True)
     doubt = "These are values of the declared model by itself, which what is missing distorts."
     distorted = [doc.Words(doubt, style="doubt")] if verdict.kind == "unknown" else []
     corrected = {**_state_json(after, scale, unit), "effects": _effects_json(diagnosis)}
-    return doc.Section(
+    return doc.Chapter(
         "Before and after" if verdict.is_corrected else "The refitted model",
         [*distorted, table, *_nearest(diagnosis)],
         {"before": _state_json(before, scale, unit), "after": corrected if verdict.is_corrected else None},
@@ -243,7 +237,7 @@ def _nearest(diagnosis: Diagnosis) -> Iterator[doc.Block]:
     error = f"rms error {quantity(nearest.train_rmse, unit)} fitted{held_out}"
     yield doc.Words(f"With {named(verdict.effects)}, which is not claimed, {error}:")
     told = ((name, interval, *named_value(diagnosis.plant, name)) for name, interval in nearest.intervals.items())
-    rows = [doc.Row((words, measured(interval, unit)), name) for name, interval, words, unit in told]
+    rows = [doc.TableRow((words, measured(interval, unit)), name) for name, interval, words, unit in told]
     yield doc.Table(("value", "with them"), rows, is_by_name=True)
     alike = [(effect, others) for effect, others in verdict.confusable_with.items() if others]
     yield doc.Items([f"{title_of(effect)} could also be: {named(others, 'or')}." for effect, others in alike])
@@ -300,25 +294,25 @@ def stroke_plots(diagnosis: Diagnosis, most: int = SHOWN_STROKES) -> list[doc.Pl
     return [stroke.plot() for stroke in (*judged, *others)]
 
 
-def force_plots(diagnosis: Diagnosis, motion: Motion | None = None) -> list[doc.Plot]:
+def force_plots(diagnosis: Diagnosis, motion: MovingSamples | None = None) -> list[doc.Plot]:
     """The force maps, restricted to the range that the data visited."""
     if diagnosis.maps and motion is None:
         motion = motion_of(diagnosis)
     return [] if motion is None else [force_curve(entry, motion).plot() for entry in diagnosis.maps]
 
 
-def _strokes(diagnosis: Diagnosis) -> doc.Section:
+def _strokes(diagnosis: Diagnosis) -> doc.Chapter:
     legend = LEGEND if diagnosis.verdict.is_corrected else (LEGEND[0], ("after", "refitted model"))
     plots = doc.Plots(functools.partial(stroke_plots, diagnosis), SHOWN_STROKES, legend)
-    return doc.Section("Measured against model", [plots, doc.Words(BAND, style="soft")], on="page")
+    return doc.Chapter("Measured against model", [plots, doc.Words(BAND, style="soft")], on="page")
 
 
-def _followed(diagnosis: Diagnosis) -> doc.Section:
+def _followed(diagnosis: Diagnosis) -> doc.Chapter:
     fits = [fit for fit in (diagnosis.after.fit, diagnosis.after.holdout) if fit is not None]
     has_any = any(follows_positions(fit.problem.plant) for fit in fits)
     followed = functools.cache(lambda: strokes_followed(diagnosis) if has_any else [])
     plots = doc.Plots(lambda: [stroke.plot() for stroke in followed()[:SHOWN_STROKES]], is_small=True)
-    return doc.Section(
+    return doc.Chapter(
         "The position that follows from the current",
         [doc.Words(FOLLOWED, style="soft"), plots] if has_any else [],
         {"position_from_current": lambda: [stroke.to_json() for stroke in followed()]},
@@ -326,7 +320,7 @@ def _followed(diagnosis: Diagnosis) -> doc.Section:
     )
 
 
-def _forces(diagnosis: Diagnosis) -> doc.Section:
+def _forces(diagnosis: Diagnosis) -> doc.Chapter:
     """What the residual looks like as a force over each variable, and what is left without a name."""
     motion, left = functools.cache(lambda: motion_of(diagnosis)), diagnosis.unexplained
     fields = {
@@ -343,13 +337,13 @@ def _forces(diagnosis: Diagnosis) -> doc.Section:
         curve = force_curve(left, motion())
         told = f"a force of {quantity(curve.rms, 'N')} rms while it moves, strongest at {curve.where}."
         blocks.append(doc.Words(told, lead="Left without a name"))
-    return doc.Section("What the residual looks like as a force", blocks, fields, on="page")
+    return doc.Chapter("What the residual looks like as a force", blocks, fields, on="page")
 
 
 # --- what was tried -------------------------------------------------------------------------------------------------
 
 
-def _tried(diagnosis: Diagnosis) -> doc.Section:
+def _tried(diagnosis: Diagnosis) -> doc.Chapter:
     """The sets that were fitted, how probable each effect is, and what would have been named."""
     plant, limits = diagnosis.plant, diagnosis.detection_limits
     head = ("what is missing", "probability", "beside something unnamed", "ln evidence", "rms, fitted", "rms, held out")
@@ -357,7 +351,9 @@ def _tried(diagnosis: Diagnosis) -> doc.Section:
     tried = doc.Table((*head, "values"), rows, SHOWN_CANDIDATES, is_sorted_on_click=True, on="page")
     ordered = sorted(diagnosis.inclusion.items(), key=lambda entry: -entry[1])
     likely = [
-        doc.Row((title_of(name), percent(share))) for name, share in ordered[:SHOWN_CANDIDATES] if share >= LEAST_SHOWN
+        doc.TableRow((title_of(name), percent(share)))
+        for name, share in ordered[:SHOWN_CANDIDATES]
+        if share >= LEAST_SHOWN
     ]
     blocks: list[doc.Block] = [doc.Words(TRIED, style="soft", on="page"), tried]
     if not diagnosis.candidates and not diagnosis.verdict.is_cut_short:
@@ -365,11 +361,11 @@ def _tried(diagnosis: Diagnosis) -> doc.Section:
             doc.Words("No effect was fitted: the score test finds none that would gain evidence.", style="soft")
         )
     if likely:
-        blocks.append(doc.Table(("each effect, whatever acts beside it", "probability"), likely, on="page"))
+        blocks.append(doc.Table(("each effect, alone or beside others", "probability"), likely, on="page"))
     if limits:
         table = limits_table(plant, limits, head=("an effect that acts alone", "named in half of such recordings from"))
         blocks.append(table)
-    return doc.Section(
+    return doc.Chapter(
         "What was tried",
         blocks,
         {
@@ -380,15 +376,15 @@ def _tried(diagnosis: Diagnosis) -> doc.Section:
     )
 
 
-def _declared_row(diagnosis: Diagnosis) -> doc.Row:
+def _declared_row(diagnosis: Diagnosis) -> doc.TableRow:
     verdict, before, (scale, unit) = diagnosis.verdict, diagnosis.before, _response(diagnosis).readable
     errors = (_number(scale * size, unit) for size in (before.train_rmse, before.holdout_rmse))
     probability = percent(verdict.probability) if verdict.kind == "none" else "–"
     title = "nothing: the declared model, refitted"
-    return doc.Row((title, probability, "–", "0", *errors, ""), is_marked=verdict.kind == "none")
+    return doc.TableRow((title, probability, "–", "0", *errors, ""), is_marked=verdict.kind == "none")
 
 
-def _candidate_row(candidate: Candidate, diagnosis: Diagnosis) -> doc.Row:
+def _candidate_row(candidate: Candidate, diagnosis: Diagnosis) -> doc.TableRow:
     plant, (scale, unit) = diagnosis.plant, _response(diagnosis).readable
     chosen = [plant.effects[effect] for effect in candidate.effects if effect in plant.effects]
     freed = {name for effect in chosen for name in effect.free_names()}
@@ -399,7 +395,7 @@ def _candidate_row(candidate: Candidate, diagnosis: Diagnosis) -> doc.Row:
         if ("." in name or name in freed) and not name.startswith("force_map.")
     ]
     is_chosen = set(candidate.effects) == set(diagnosis.verdict.effects)
-    return doc.Row(
+    return doc.TableRow(
         (
             titles_of(candidate.effects) + (" with errors of the commands' stamps" if candidate.timing else ""),
             percent(candidate.probability),
@@ -444,7 +440,7 @@ def _value_words(plant: Plant, name: str, value: float) -> str:
 # --- what to do with it ---------------------------------------------------------------------------------------------
 
 
-def _use(diagnosis: Diagnosis, folder: Path | None, options: str, *, is_sure: bool) -> doc.Section:
+def _use(diagnosis: Diagnosis, folder: Path | None, options: str, *, is_sure: bool) -> doc.Chapter:
     """Commands that check the corrected model and start it."""
     plant, file = diagnosis.plant, shlex.quote(str((folder or Path()) / "corrected.yaml"))
     source = typed_option(options, "--map") + typed_option(options, "--valve")
@@ -459,17 +455,17 @@ def _use(diagnosis: Diagnosis, folder: Path | None, options: str, *, is_sure: bo
     elif isinstance(plant, OwnPlant):
         lines, kind = [f"valve-sim validate ANOTHER_RECORDING --plant {file}{source}"], "a plant file"
     else:
-        return doc.Section()
+        return doc.Chapter()
     values = "these values" if diagnosis.after.intervals else "the declared values"
     what = (
         f"corrected.yaml, beside this page, is {kind} with {values}. Check it against a recording that was not used "
         "here, and start it, in the folder where this diagnosis was made:"
     )
     doubt = [] if is_sure else [doc.Words("The verdict is not sure: check first, and record more.", style="doubt")]
-    return doc.Section("How to use the corrected model", [doc.Words(what), doc.Commands(lines), *doubt], on="page")
+    return doc.Chapter("How to use the corrected model", [doc.Words(what), doc.Typed(lines), *doubt], on="page")
 
 
-def _made(diagnosis: Diagnosis, provenance: str) -> doc.Section:
+def _made(diagnosis: Diagnosis, provenance: str) -> doc.Chapter:
     channel = _response(diagnosis)
     noise = diagnosis.before.fit.problem.noises[channel.kind]
     scale, unit = channel.readable
@@ -484,7 +480,9 @@ def _made(diagnosis: Diagnosis, provenance: str) -> doc.Section:
         ("Held out", claims.holdout_words(diagnosis)),
         ("Provenance", provenance),
     ]
-    return doc.Section("How this was made", [doc.Table(("", ""), [doc.Row(row) for row in rows if row[1]])], on="page")
+    return doc.Chapter(
+        "How this was made", [doc.Table(("", ""), [doc.TableRow(row) for row in rows if row[1]])], on="page"
+    )
 
 
 def _number(value: float, unit: str) -> str:

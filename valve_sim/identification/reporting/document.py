@@ -48,7 +48,7 @@ class Items:
 
 
 @dataclass(frozen=True)
-class Commands:
+class Typed:
     """Lines to type."""
 
     lines: Sequence[str]
@@ -87,7 +87,7 @@ class Spark:
 
 
 @dataclass(frozen=True)
-class Place:
+class OnScale:
     """A place with its interval on a scale from −reach to reach, and the half width of what is usual there."""
 
     at: float
@@ -99,11 +99,11 @@ class Place:
     words: str
 
 
-Cell = str | Spark | Place
+Cell = str | Spark | OnScale
 
 
 @dataclass(frozen=True)
-class Row:
+class TableRow:
     """A row of a table, with a note below; a marked one stands out, or is a test that failed.
 
     `name` is that of code, and the first cell leads to `link` on the page.
@@ -127,7 +127,7 @@ class Table:
     """
 
     head: Sequence[str]
-    rows: Sequence[Row]
+    rows: Sequence[TableRow]
     shown: int = MANY
     is_sorted_on_click: bool = False
     is_by_name: bool = False
@@ -137,7 +137,7 @@ class Table:
 
 
 @dataclass(frozen=True)
-class Curve:
+class Line:
     """Values over those of a plot, (n,), NaN where nothing is known; the name is that of a colour, too."""
 
     name: str
@@ -150,7 +150,7 @@ class Panel:
     """Curves on one axis, beside a band from `low` to `high`, (n,) each."""
 
     label: str
-    curves: Sequence[Curve]
+    curves: Sequence[Line]
     low: Array | None = None
     high: Array | None = None
     has_zero: bool = False
@@ -183,11 +183,11 @@ class Plots:
     on: On = "page"
 
 
-Block = Words | Items | Commands | Entry | Fold | Table | Plots
+Block = Words | Items | Typed | Entry | Fold | Table | Plots
 
 
 @dataclass(frozen=True)
-class Section:
+class Chapter:
     """Blocks under a title, and fields of JSON; a field that is a function is called for JSON only."""
 
     title: str = ""
@@ -206,7 +206,7 @@ class Document:
     """
 
     name: str
-    sections: Sequence[Section]
+    sections: Sequence[Chapter]
     headline: str = ""
     kind: str = ""
     status: str = ""
@@ -257,7 +257,7 @@ def _add_suite(root: ElementTree.Element, table: Table) -> None:
 # --- on a terminal --------------------------------------------------------------------------------------------------
 
 
-def _section_lines(section: Section) -> Iterator[str]:
+def _section_lines(section: Chapter) -> Iterator[str]:
     if section.on == "page":
         return
     lines = list(_lines(section.blocks))
@@ -286,7 +286,7 @@ def _table_lines(table: Table) -> Iterator[str]:
     rows = [row for row in table.rows if row.is_marked or not table.is_brief]
     if not rows:
         return
-    told = [index for index, cell in enumerate(rows[0].cells) if index and not isinstance(cell, Place)]
+    told = [index for index, cell in enumerate(rows[0].cells) if index and not isinstance(cell, OnScale)]
     firsts = [row.name if table.is_by_name and row.name else _cell_words(row.cells[0]) for row in rows]
     cells = [[first, *(_cell_words(row.cells[at]) for at in told)] for first, row in zip(firsts, rows, strict=True)]
     every = [[table.head[0], *(table.head[at] for at in told)], *cells]

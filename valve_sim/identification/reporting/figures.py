@@ -20,7 +20,7 @@ from valve_sim.identification.diagnosis.outcome import Diagnosis
 from valve_sim.identification.reporting import document as doc
 from valve_sim.identification.reporting.claims import headline
 from valve_sim.identification.reporting.diagnosis import force_plots, stroke_plots
-from valve_sim.identification.reporting.document import Array, Curve, Panel, Plot
+from valve_sim.identification.reporting.document import Array, Line, Panel, Plot
 from valve_sim.identification.reporting.units import percent
 from valve_sim.model import Drive, Phase, Response, Valve, ValveError, published_times
 
@@ -57,15 +57,15 @@ def draw_response(
     """
     plungers = {"pilot plunger": response.pilot_position, "main plunger": response.main_position}
     panels = [
-        Panel("displacement, µm", [Curve(name, 1e6 * position) for name, position in plungers.items()]),
-        Panel("velocity, mm/s", [Curve("velocity", 1e3 * response.pilot_velocity)], has_zero=True),
-        Panel("coil current, A", [Curve("current", response.coil_current)]),
-        Panel("command, V", [Curve("command", drive.at(response.time))]),
-        Panel("phase", [Curve("phase", response.phase.astype(float))]),
+        Panel("displacement, µm", [Line(name, 1e6 * position) for name, position in plungers.items()]),
+        Panel("velocity, mm/s", [Line("velocity", 1e3 * response.pilot_velocity)], has_zero=True),
+        Panel("coil current, A", [Line("current", response.coil_current)]),
+        Panel("command, V", [Line("command", drive.at(response.time))]),
+        Panel("phase", [Line("phase", response.phase.astype(float))]),
     ]
     if response.outlet_pressure is not None and response.mass_flow is not None:
-        panels.append(Panel("outlet, MPa", [Curve("current", 1e-6 * response.outlet_pressure)]))
-        panels.append(Panel("flow, g/s", [Curve("current", 1e3 * response.mass_flow)]))
+        panels.append(Panel("outlet, MPa", [Line("current", 1e-6 * response.outlet_pressure)]))
+        panels.append(Panel("flow, g/s", [Line("current", 1e3 * response.mass_flow)]))
     figure = draw_plots([Plot(title, "", 1e3 * response.time, "time, ms", panels)], title)
     first, _, _, _, phase, *_ = figure.subfigs[0].axes
     phase.set_yticks([int(one) for one in Phase], [one.name.lower().replace("_", " ") for one in Phase])
@@ -106,7 +106,7 @@ def draw_residual(times: Array, values: Array, sigma: float, scale: float, unit:
         scale, unit: from SI to the unit that is shown. title: one line.
     """
     band = np.full(len(times), 2.0 * scale * sigma)
-    panel = Panel(f"measured − model, {unit}", [Curve("after", scale * values)], -band, band)
+    panel = Panel(f"measured − model, {unit}", [Line("after", scale * values)], -band, band)
     return draw_plots([Plot(title, "", 1e3 * times, "time, ms", [panel])], title)
 
 

@@ -22,7 +22,7 @@ from valve_sim.identification.fit.curves import Unexplained
 from valve_sim.identification.fit.gram import root_mean_square
 from valve_sim.identification.plants.protocol import Array, Plant
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.reporting.document import Curve, Panel, Plot
+from valve_sim.identification.reporting.document import Line, Panel, Plot
 from valve_sim.identification.reporting.units import gain_words, quantity
 from valve_sim.model import simulate
 from valve_sim.model.effects import is_damping
@@ -37,7 +37,7 @@ _FACTOR_WORDS: Final = {"·v": ", times velocity", "·u²": ", with the current 
 _AXES: Final = {"x": ("position", 1e3, "mm"), "v": ("velocity", 1.0, "m/s"), "t": ("time", 1e3, "ms")}
 
 
-class Motion(NamedTuple):
+class MovingSamples(NamedTuple):
     """The fitted samples at which the machine moves; (n,) each, SI.
 
     Attributes:
@@ -61,7 +61,6 @@ class ForceCurve:
         at: (n,) in the unit of the axis. force: (n,) in N, or N·s/m of a damping; NaN outside the data.
         band: (n,) two standard errors of the force; NaN where they are not known.
         rms: of the force as it acts at the samples of motion, N. where: it is strongest, in words.
-        is_partial: whether the map extends beyond the data.
     """
 
     variable: str
@@ -73,19 +72,18 @@ class ForceCurve:
     band: Array
     rms: float
     where: str
-    is_partial: bool
 
     def plot(self) -> Plot:
         """The curve with its band."""
         low, high = self.force - self.band, self.force + self.band
-        panel = Panel(self.force_label, [Curve("after", self.force)], low, high, has_zero=True)
+        panel = Panel(self.force_label, [Line("after", self.force)], low, high, has_zero=True)
         axis = self.label.partition(",")[0] + _FACTOR_WORDS.get(self.variable[1:], "")
         gain, rms = gain_words(0.5 * self.gain), quantity(self.rms, "N")
         caption = f"ln evidence {gain} · rms {rms} · strongest at {self.where}"
         return Plot(f"over {axis}", caption, self.at, self.label, [panel])
 
 
-def unexplained_json(entry: Unexplained, motion: Motion) -> dict[str, Any]:
+def unexplained_json(entry: Unexplained, motion: MovingSamples) -> dict[str, Any]:
     """Size and place over the range that the data visited: beyond, only smoothness determines the curve."""
     curve = force_curve(entry, motion)
     return {
@@ -99,7 +97,7 @@ def unexplained_json(entry: Unexplained, motion: Motion) -> dict[str, Any]:
     }
 
 
-def motion_of(diagnosis: Diagnosis) -> Motion:
+def motion_of(diagnosis: Diagnosis) -> MovingSamples:
     """The samples of motion, from the refitted declared model: its velocity has no noise."""
     fitted = diagnosis.before.fit
     plant = fitted.problem.plant
@@ -116,10 +114,10 @@ def motion_of(diagnosis: Diagnosis) -> Motion:
         parts.append(tuple(values[takes_part] for values in (shown[index], speed, channel.times, current, damping)))
     if not parts:
         nothing = np.empty(0)
-        return Motion(nothing, nothing, nothing, nothing, np.empty(0, np.int64))
+        return MovingSamples(nothing, nothing, nothing, nothing, np.empty(0, np.int64))
     columns = [np.concatenate(values) for values in zip(*parts, strict=True)]
     moves = np.abs(columns[1]) > MOVES * np.max(np.abs(columns[1]), initial=0.0)
-    return Motion(*(values[moves] for values in columns))
+    return MovingSamples(*(values[moves] for values in columns))
 
 
 def _currents(plant: Plant, values: Mapping[str, float], times: Array) -> Array:
@@ -134,7 +132,7 @@ def _currents(plant: Plant, values: Mapping[str, float], times: Array) -> Array:
     return np.asarray(simulate(valve, drive, times).coil_current / rated)
 
 
-def force_curve(entry: Unexplained, motion: Motion) -> ForceCurve:
+def force_curve(entry: Unexplained, motion: MovingSamples) -> ForceCurve:
     """A force map restricted to the range that the data visited; all of it where the motion is not known."""
     drawn, shown = np.array(entry.at), np.array(entry.force)
     samples, factor = _visits(entry.variable, motion)
@@ -149,11 +147,11 @@ def force_curve(entry: Unexplained, motion: Motion) -> ForceCurve:
     band = np.where(seen, 2.0 * _errors(entry), np.nan)
     return ForceCurve(
         entry.variable, entry.gain, f"{name}, {unit}", _force_label(entry.variable), scale * drawn, values, band,
-        rms, _where(name, unit, scale * drawn, values), not bool(seen.all()),
+        rms, _where(name, unit, scale * drawn, values),
     )  # fmt: skip
 
 
-def _visits(variable: str, motion: Motion) -> tuple[Array, Array]:
+def _visits(variable: str, motion: MovingSamples) -> tuple[Array, Array]:
     """The places of the samples on the axis of a map, and the factor by which its curve is multiplied there."""
     samples = {"x": motion.position, "v": motion.velocity, "t": motion.time}.get(variable[0], np.empty(0))
     if is_damping(variable):
@@ -164,7 +162,9 @@ def _visits(variable: str, motion: Motion) -> tuple[Array, Array]:
     return samples, np.ones(len(samples))
 
 
-def _without_damping(variable: str, motion: Motion, acting: Array, drawn: Array, shown: Array) -> tuple[Array, Array]:
+def _without_damping(
+    variable: str, motion: MovingSamples, acting: Array, drawn: Array, shown: Array
+) -> tuple[Array, Array]:
     """A damping map less its mean over the samples; over x, less the mean in the range of each of the dampings."""
     acting, shown = acting.copy(), shown.copy()
     number = motion.damping if variable == "x·v" else np.zeros(len(acting), np.int64)

@@ -12,7 +12,17 @@ from valve_sim.identification.diagnosis.identify import Identification, SignalEr
 from valve_sim.identification.fit.static_force import StaticForce
 from valve_sim.identification.plants.effect_titles import capitalised
 from valve_sim.identification.plants.protocol import READABLE_UNITS
-from valve_sim.identification.reporting.document import Curve, Document, Items, Panel, Plot, Plots, Row, Section, Table
+from valve_sim.identification.reporting.document import (
+    Chapter,
+    Document,
+    Items,
+    Line,
+    Panel,
+    Plot,
+    Plots,
+    Table,
+    TableRow,
+)
 from valve_sim.identification.reporting.findings import remarks
 from valve_sim.identification.reporting.recording_state import recording_sections
 from valve_sim.identification.reporting.units import in_unit, limits, measured, quantity, three_digits
@@ -32,7 +42,7 @@ def identification_document(result: Identification) -> Document:
     values = Table(
         ("parameter", "value ± standard error", "95 % interval", "declared"),
         [
-            Row(
+            TableRow(
                 (
                     name,
                     measured(one, units[name]),
@@ -81,13 +91,13 @@ def identification_document(result: Identification) -> Document:
     return Document(
         "Identification",
         [
-            Section(
+            Chapter(
                 "", [values], {**head, **noise_fields, "parameters": intervals_json(result.intervals), "units": units}
             ),
             declared_section(result.declared, is_whole=True),
-            Section("", [Items(errors)], rest),
+            Chapter("", [Items(errors)], rest),
             *recording,
-            Section("", [Items(findings)]),
+            Chapter("", [Items(findings)]),
         ],
     )
 
@@ -124,7 +134,7 @@ def static_force_document(result: StaticForce) -> Document:
     values = Table(
         ("", "value ± standard error", "95 % interval"),
         [
-            Row((name, measured(one, DECLARED[name].unit), limits(one, DECLARED[name].unit)))
+            TableRow((name, measured(one, DECLARED[name].unit), limits(one, DECLARED[name].unit)))
             for name, one in result.intervals.items()
         ],
     )
@@ -147,12 +157,12 @@ def static_force_document(result: StaticForce) -> Document:
         order = np.argsort(result.displacement)
         attraction = Panel(
             f"attraction at {result.voltage:g} V, N",
-            [Curve("measured", result.force[order], has_dots=True), Curve("polynomial", result.predicted[order])],
+            [Line("measured", result.force[order], has_dots=True), Line("polynomial", result.predicted[order])],
         )
-        residual = Panel("measured − polynomial, N", [Curve("residual", left[order], has_dots=True)], has_zero=True)
+        residual = Panel("measured − polynomial, N", [Line("residual", left[order], has_dots=True)], has_zero=True)
         title = f"{result.source}: residual {result.rmse:.3g} N rms"
         return [Plot(title, "", 1e6 * result.displacement[order], "displacement, µm", [attraction, residual])]
 
     title = f"{result.source}: {len(result.force)} points at {result.voltage:g} V"
     end = f"residual {result.rmse:.3g} N (rms), R² {result.r_squared:.6f}"
-    return Document("fit-force", [Section(title, [values, Plots(plots), Items([end, *findings])], fields)])
+    return Document("fit-force", [Chapter(title, [values, Plots(plots), Items([end, *findings])], fields)])

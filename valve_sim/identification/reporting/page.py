@@ -11,7 +11,7 @@ from jinja2 import Environment, PackageLoader
 
 from valve_sim.files.json_text import finite_or_none
 from valve_sim.files.whole_files import write_whole
-from valve_sim.identification.reporting.document import Array, Document, Place, Plots, Spark, Table
+from valve_sim.identification.reporting.document import Array, Document, OnScale, Plots, Spark, Table
 
 STEPS: Final = 1e-5
 """Of their range, to which numbers of a plot are rounded."""
@@ -84,7 +84,7 @@ def points(spark: Spark) -> str:
     return " ".join(f"{x:.1f},{y:.1f}" for x, y in zip(across.tolist(), down.tolist(), strict=True))
 
 
-def _percent(value: float, place: Place) -> str:
+def _percent(value: float, place: OnScale) -> str:
     """A place on a scale, in percent of its width."""
     return f"{50.0 + 50.0 * min(max(value / place.reach, -1.0), 1.0):.2f}%"
 

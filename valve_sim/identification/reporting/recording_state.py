@@ -11,7 +11,17 @@ from valve_sim.identification.diagnosis.recording_state import RecordingState
 from valve_sim.identification.fit.recorded_errors import RecordedError
 from valve_sim.identification.plants.effect_titles import capitalised, title_of
 from valve_sim.identification.plants.protocol import Plant
-from valve_sim.identification.reporting.document import Block, Document, Items, On, Row, Section, Spark, Table, Words
+from valve_sim.identification.reporting.document import (
+    Block,
+    Chapter,
+    Document,
+    Items,
+    On,
+    Spark,
+    Table,
+    TableRow,
+    Words,
+)
 from valve_sim.identification.reporting.findings import remarks
 from valve_sim.identification.reporting.units import percent, quantity, three_digits
 
@@ -48,7 +58,7 @@ def recording_document(state: RecordingState) -> Document:
     return Document(
         "State of a recording",
         [
-            Section(
+            Chapter(
                 f"State of {source}, beside the refitted declared valve",
                 [errors, *limits, Items(findings)],
                 {
@@ -64,7 +74,7 @@ def recording_document(state: RecordingState) -> Document:
 
 def recording_sections(
     errors: Mapping[str, Sequence[RecordedError]], noise: float, unit: str, *, is_unknown: bool = False
-) -> Iterator[Section]:
+) -> Iterator[Chapter]:
     """What a report says of each of its recordings; a terminal shows the errors that are there.
 
     Args:
@@ -75,10 +85,10 @@ def recording_sections(
     words.append(Words(LEGEND, style="soft", on="page"))
     for source, entries in errors.items():
         table = errors_table(entries, noise, unit, is_brief=True, on="page" if is_unknown else "both")
-        yield Section(f"State of the recording {source}", [*words, table] if entries else [])
+        yield Chapter(f"State of the recording {source}", [*words, table] if entries else [])
         words = []
     told = {source: [_entry_json(entry) for entry in entries] for source, entries in errors.items()}
-    yield Section(fields={"recording": told})
+    yield Chapter(fields={"recording": told})
 
 
 def errors_table(
@@ -95,7 +105,7 @@ def errors_table(
             title = f"{entry.title} ({entry.detail})" if entry.detail else entry.title
             picture = Spark(entry.at, entry.shown, entry.over)
             cells = (title, size_words(entry), share, percent(entry.probability), picture)
-            rows.append(Row(cells, name, note=advice, is_marked=entry.is_likely))
+            rows.append(TableRow(cells, name, note=advice, is_marked=entry.is_likely))
     return Table(("error", "size", "in noise", "probability", "picture"), rows, is_brief=is_brief, on=on)
 
 
@@ -136,7 +146,7 @@ def limits_table(plant: Plant, *columns: Mapping[str, Mapping[str, float]], head
             if any(map(math.isfinite, sizes)):
                 title = title_of(name) + (f": {switch.name.replace('_', ' ')}" if len(switches) > 1 else "")
                 told = (quantity(size, switch.unit) if math.isfinite(size) else "–" for size in sizes)
-                rows.append(Row((title, *told)))
+                rows.append(TableRow((title, *told)))
     return Table(head, rows)
 
 

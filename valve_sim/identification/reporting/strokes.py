@@ -14,7 +14,7 @@ from valve_sim.identification.fit.gram import root_mean_square
 from valve_sim.identification.fit.result import Fit
 from valve_sim.identification.plants.protocol import Array, primary_channels
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.reporting.document import Curve, Panel, Plot
+from valve_sim.identification.reporting.document import Line, Panel, Plot
 from valve_sim.identification.reporting.units import quantity, three_digits
 from valve_sim.traces import stroke_numbers
 
@@ -57,8 +57,8 @@ class StrokeCurves(NamedTuple):
             del models["before"]
         residuals = {name: self.measured - model for name, model in models.items()}
         kept = keep_extremes((self.measured, *residuals.values()), DRAWN_POINTS)
-        above = [Curve(name, model[kept]) for name, model in {"measured": self.measured, **models}.items()]
-        below = [Curve(name, left[kept]) for name, left in residuals.items()]
+        above = [Line(name, model[kept]) for name, model in {"measured": self.measured, **models}.items()]
+        below = [Line(name, left[kept]) for name, left in residuals.items()]
         panels = [
             Panel(f"{self.quantity}, {self.unit}", above),
             Panel(f"residual, {self.unit}", below, -2.0 * self.band[kept], 2.0 * self.band[kept], has_zero=True),
@@ -159,7 +159,7 @@ class FollowedStroke(NamedTuple):
         """The position, and a band of two standard errors."""
         usual, largest = (quantity(float(size), "m") for size in (np.median(self.stderr), self.stderr.max()))
         position, band = MICRO * self.position, 2.0 * MICRO * self.stderr
-        panel = Panel("pilot plunger, µm", [Curve("after", position)], position - band, position + band, has_zero=True)
+        panel = Panel("pilot plunger, µm", [Line("after", position)], position - band, position + band, has_zero=True)
         caption = f"standard error {usual} (median), {largest} (largest)"
         return Plot(f"{self.source}, stroke {self.number}", caption, 1e3 * self.time, "time, ms", [panel])
 

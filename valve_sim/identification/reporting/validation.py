@@ -7,7 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from valve_sim.identification.reporting.document import Curve, Document, Panel, Plot, Plots, Row, Section, Table, Words
+from valve_sim.identification.reporting.document import (
+    Chapter,
+    Document,
+    Line,
+    Panel,
+    Plot,
+    Plots,
+    Table,
+    TableRow,
+    Words,
+)
 from valve_sim.identification.reporting.units import in_unit, signed, three_digits
 from valve_sim.identification.validation.replay import MICRO, Arrival, Errors, Replay, Validation
 
@@ -21,11 +31,11 @@ def validation_document(result: Validation) -> Document:
         "recordings": [_replay_json(replay) for replay in result.replays],
     }
     return Document(
-        "valve-sim validate", [*replays, Section("", [Words("passed" if result.passed else "FAILED")], fields)]
+        "valve-sim validate", [*replays, Chapter("", [Words("passed" if result.passed else "FAILED")], fields)]
     )
 
 
-def _replay(replay: Replay) -> Section:
+def _replay(replay: Replay) -> Chapter:
     scale, unit = replay.readable
 
     def told(size: float) -> str:
@@ -34,7 +44,7 @@ def _replay(replay: Replay) -> Section:
     clock = "" if math.isnan(replay.clock_offset) else f", clock offset {MICRO * replay.clock_offset:.1f} µs"
     verdict = "within" if replay.passed else "OUTSIDE"
     rows = [
-        Row(
+        TableRow(
             (name, *map(told, (errors.rmse, errors.moving_rmse, errors.maximum, errors.tolerance)),
              "" if errors.is_within else "outside"),
             is_marked=not errors.is_within,
@@ -49,21 +59,21 @@ def _replay(replay: Replay) -> Section:
         measured = replay.measured.values
         limit = np.full(len(measured), scale * replay.tolerance)
         above = Panel(
-            f"{replay.title}, {unit}", [Curve("measured", scale * measured), Curve("model", scale * replay.predicted)]
+            f"{replay.title}, {unit}", [Line("measured", scale * measured), Line("model", scale * replay.predicted)]
         )
-        left = Curve("residual", scale * (measured - replay.predicted))
+        left = Line("residual", scale * (measured - replay.predicted))
         below = Panel(f"measured − model, {unit}", [left], -limit, limit)
         title = f"{replay.source}: {verdict.lower()} {told(replay.tolerance)} (band)"
         return [Plot(title, "", 1e3 * replay.measured.times, "time, ms", [above, below])]
 
     title = f"{replay.source}: {verdict} {told(replay.tolerance)} (noise {told(replay.noise)}{clock})"
-    return Section(title, [Table(head, rows, suite=replay.source), times, Plots(plots)])
+    return Chapter(title, [Table(head, rows, suite=replay.source), times, Plots(plots)])
 
 
-def _arrival(stroke: str, arrival: Arrival) -> Row:
+def _arrival(stroke: str, arrival: Arrival) -> TableRow:
     measured = f"{1e3 * arrival.measured:.3f} ± {1e3 * arrival.stderr:.3f} ms"
     model, apart = f"{1e3 * arrival.model:.3f} ms", f"{signed(1e3 * (arrival.measured - arrival.model), 3)} ms"
-    return Row((f"{arrival.kind.replace('_', ' ')} ({arrival.sensor})", measured, model, apart, stroke))
+    return TableRow((f"{arrival.kind.replace('_', ' ')} ({arrival.sensor})", measured, model, apart, stroke))
 
 
 def _replay_json(replay: Replay) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from valve_sim.identification.fit.declared_values import BEYOND, DeclaredValue, 
 from valve_sim.identification.fit.intervals import Interval, Unbounded
 from valve_sim.identification.plants.effect_titles import capitalised, named_value
 from valve_sim.identification.plants.tolerances import GROUP
-from valve_sim.identification.reporting.document import Block, Place, Row, Section, Table, Words
+from valve_sim.identification.reporting.document import Block, Chapter, OnScale, Table, TableRow, Words
 from valve_sim.identification.reporting.units import disagree, limits, measured, quantity, readable, signed
 
 NORMAL_95: Final = 1.96
@@ -60,7 +60,7 @@ def is_stand_in(diagnosis: Diagnosis, name: str) -> bool:
     return name.partition(".")[0] in {*effects, *(effect.removeprefix("valve.") for effect in effects)}
 
 
-def value_rows(diagnosis: Diagnosis) -> list[Row]:
+def value_rows(diagnosis: Diagnosis) -> list[TableRow]:
     """Each value of the refitted declared model and of the corrected one, if any, and its 95 % interval."""
     before, after = diagnosis.before.intervals, diagnosis.after.intervals
     rows = []
@@ -76,14 +76,14 @@ def value_rows(diagnosis: Diagnosis) -> list[Row]:
         refitted = measured(before[name], unit) if name in before else "–"
         pair = [refitted, corrected] if diagnosis.verdict.is_corrected else [refitted]
         remark = "" if is_bare or not (remark := remark_on(interval)) else f"{capitalised(remark)}."
-        rows.append(Row([words, *pair, "" if is_bare else limits(interval, unit)], name, remark))
+        rows.append(TableRow([words, *pair, "" if is_bare else limits(interval, unit)], name, remark))
     return rows
 
 
 # --- declared values ------------------------------------------------------------------------------------------------
 
 
-def declared_section(values: Sequence[DeclaredValue], *, is_valve: bool = True, is_whole: bool = False) -> Section:
+def declared_section(values: Sequence[DeclaredValue], *, is_valve: bool = True, is_whole: bool = False) -> Chapter:
     """What the data say of declared values; on a terminal the table only where it `is_whole`."""
     reach = max((abs(row.deviation) + NORMAL_95 * row.spread for row in values), default=0.0)
     scale = min(max(math.ceil(reach), LEAST_REACH), MOST_REACH)
@@ -103,7 +103,7 @@ def declared_section(values: Sequence[DeclaredValue], *, is_valve: bool = True, 
         blocks.append(Words(f"{summary_words(values)}.", style="doubt" if any(row.is_out for row in values) else ""))
     if values:
         blocks += [Words(legend, style="soft", on="page"), table]
-    return Section(
+    return Chapter(
         "Declared values",
         blocks,
         {
@@ -118,13 +118,13 @@ def declared_section(values: Sequence[DeclaredValue], *, is_valve: bool = True, 
     )
 
 
-def _declared_row(row: DeclaredValue, reach: float) -> Row:
+def _declared_row(row: DeclaredValue, reach: float) -> TableRow:
     low, high = (row.deviation + sign * NORMAL_95 * row.spread for sign in (-1.0, 1.0))
     off = signed(row.deviation, 1)
-    place = Place(row.deviation, low, high, reach, BEYOND, row.is_out, f"{off} tolerances")
+    place = OnScale(row.deviation, low, high, reach, BEYOND, row.is_out, f"{off} tolerances")
     declared, estimate = ((row.value, row.tolerance), (row.estimate, row.stderr))
     told = (measured(Interval(*pair, pair[0], pair[0]), row.unit) for pair in (declared, estimate))
-    return Row((plain_name(row.name), *told, place, off), row.name, is_marked=row.is_out)
+    return TableRow((plain_name(row.name), *told, place, off), row.name, is_marked=row.is_out)
 
 
 def amount_words(row: DeclaredValue) -> str:
