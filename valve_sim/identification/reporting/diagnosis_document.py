@@ -21,10 +21,10 @@ from valve_sim.identification.plants.tolerances import GROUP
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting import claims, values
 from valve_sim.identification.reporting import document as doc
-from valve_sim.identification.reporting.correction import correction_section
+from valve_sim.identification.reporting.correction_chapter import correction_section
 from valve_sim.identification.reporting.force_curves import MovingSamples, force_curve, motion_of, unexplained_json
 from valve_sim.identification.reporting.record_next import profile_of, typed_commands, typed_option
-from valve_sim.identification.reporting.recording_state import limits_table, recording_sections
+from valve_sim.identification.reporting.recording_document import limits_table, recording_sections
 from valve_sim.identification.reporting.strokes import strokes_followed, worst_first
 from valve_sim.identification.reporting.units import (
     change,
