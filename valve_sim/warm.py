@@ -15,7 +15,7 @@ from typing import Final
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.model import CATALOGUE, Valve, ValveError
 from valve_sim.model.core.machine import when_compiling
-from valve_sim.model.core.plan import OFTEN, integrator
+from valve_sim.model.core.plan import integrator
 from valve_sim.model.gas import GasParameters
 from valve_sim.model.runs import WIDTHS
 
@@ -42,7 +42,7 @@ def _warm_plans(valve: Valve, *, has_gas: bool) -> None:
     alone = [name for name, effect in CATALOGUE.items() if effect.is_of(has_gas=has_gas)]
     for effects in ({}, *({name: CATALOGUE[name].neutral_values()} for name in alone)):
         for width in WIDTHS:
-            replace(valve, effects=effects).plan(width, OFTEN)
+            replace(valve, effects=effects).plan(width)
 
 
 def main() -> int:

@@ -40,7 +40,6 @@ def own_machine(folder: str, plant: str, *logs: str, holdout: str = "") -> vs.Di
 
 
 @needs_inputs
-@later("an input that changes at each sample counts as standing still, and motion as noise")
 def test_a_missing_voltage_drop_is_seen_where_the_input_never_stands() -> None:
     """T 1: 131 mA of noise were read where 1 mA is true."""
     found = own_machine("noise_of_excited_input", "coil.yaml", "drop_a.csv", "drop_b.csv", holdout="drop_b.csv")
@@ -49,7 +48,6 @@ def test_a_missing_voltage_drop_is_seen_where_the_input_never_stands() -> None:
 
 
 @needs_inputs
-@later("the resolution of a sensor with uneven steps falls back to a millionth of its range")
 def test_a_sensor_with_uneven_steps_is_no_broken_machine() -> None:
     """T 2: 5e-5 K of noise were read where steps are 0.08 to 0.23 K."""
     found = own_machine("noise_of_uneven_steps_ntc", "heat.yaml", "ntc_a.csv")
@@ -81,7 +79,6 @@ def test_what_predicts_unseen_strokes_is_in_the_corrected_valve() -> None:
     assert "coulomb_friction" in found.valve.effects
 
 
-@later("by the current alone limits are a third of what is named")
 def test_what_is_twice_the_detection_limit_by_the_current_alone_is_named() -> None:
     """T 5."""
     valve = load_valve(ROOT / "config" / "energy_consistent.yaml")

@@ -9,6 +9,7 @@ import pytest
 
 from valve_sim.model import CATALOGUE, Drive, Effect, ParameterError, Stepper, Valve, simulate
 from valve_sim.model.effects.catalogue import Catalogue
+from valve_sim.model.runs import Directions, run_sloped
 
 from .random_valves import RANGES
 
@@ -32,6 +33,19 @@ def test_an_effect_at_its_neutral_values_is_no_effect(name: str) -> None:
     for field in ("pilot_position", "main_position", "pilot_velocity", "coil_current", "attraction", "phase"):
         np.testing.assert_allclose(getattr(with_it, field), getattr(without, field), rtol=0.0, atol=1e-10)
     assert [event.kind for event in with_it.events] == [event.kind for event in without.events]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("first", RANGES)
+def test_any_two_effects_are_simulated_with_and_without_derivatives(first: str) -> None:
+    for second in list(RANGES)[list(RANGES).index(first) + 1 :]:
+        effects = {
+            name: {key: 0.5 * (low + high) for key, (low, high) in RANGES[name].items()} for name in (first, second)
+        }
+        valve = Valve(CALIBRATED.parameters, effects)
+        shown = run_sloped(valve, PULSE, TIMES, Directions.of(valve, PULSE, ["main_damping", "stroke", "a0"]))
+        assert np.isfinite(shown.of_positions).all(), second
+        np.testing.assert_allclose(shown.positions, simulate(valve, PULSE, TIMES).pilot_position, 0.0, 1e-10)
 
 
 def test_a_parameter_that_is_not_given_is_neutral() -> None:

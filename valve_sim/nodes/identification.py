@@ -54,6 +54,8 @@ ANSWER_SECONDS: Final = 10.0
 """Time in which it must answer, all requests together."""
 _REQUESTS: Final = 4
 """Requests to a node that does not answer: a reply that is sent before DDS has matched its reader is lost."""
+_MOST_SHOWN: Final = 4
+"""Numbers of a list in a line of the log."""
 Values = dict[str, Any]
 """Flat parameter name to value."""
 
@@ -150,7 +152,7 @@ class IdentificationNode(RosNode[IdentificationSettings]):
         text = report_text(outcome, applied)
         if applied is not None and not applied.is_set:
             # Before the result is published, upon which somebody may end this node.
-            self._exit_code = 1
+            self.exit_code = 1
             self._refusal = f"{outcome.summary}; but apply_to: {applied.node} is as it was: {applied.reason}"
             self._node.get_logger().error(self._refusal)
         self._result.publish(String(data=text))
@@ -160,7 +162,7 @@ class IdentificationNode(RosNode[IdentificationSettings]):
 
     def _report(self, words: str, is_good: bool) -> None:
         if not is_good:
-            self._exit_code = 1
+            self.exit_code = 1
         if self._node.context.ok():
             logger = self._node.get_logger()
             if words != self._refusal:
@@ -269,5 +271,5 @@ def change_lines(old: Values, new: Values, intervals: Mapping[str, Interval]) ->
 
 def _short(value: object) -> str:
     if isinstance(value, list):
-        return f"[{', '.join(map(_short, value))}]"
+        return f"[{', '.join(map(_short, value))}]" if len(value) <= _MOST_SHOWN else f"{len(value)} numbers"
     return f"{value:.6g}" if isinstance(value, float) else str(value)

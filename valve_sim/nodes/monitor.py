@@ -19,7 +19,7 @@ from valve_sim.identification.monitoring.findings import Occasion, Prediction, S
 from valve_sim.identification.monitoring.memory import load_commissioning, save_commissioning
 from valve_sim.identification.monitoring.scores import Baseline
 from valve_sim.identification.monitoring.stroke_monitor import StrokeMonitor, StrokeReport
-from valve_sim.identification.reporting.monitoring import occasion_words, told_finding
+from valve_sim.identification.reporting.monitor_messages import occasion_words, told_finding
 from valve_sim.model import ParameterError
 from valve_sim.nodes import topics
 from valve_sim.nodes.diagnostics import Level, Status
@@ -81,7 +81,7 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
         self._isolation = FaultIsolation(self._tell)
         self._state_told = ""
         self._last_report: StrokeReport | None = None
-        self._is_ready = self._is_heard = False
+        self._is_heard = False
         self._monitor_thread = MonitorThread(
             self._strokes, prepare=self._prepare, report=self._report, isolate=self._isolate, forget=self._forget,
             fail=self._fail,
@@ -153,12 +153,10 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
         return True, f"the next {self._settings.commissioning_strokes} strokes are taken as the new baseline"
 
     def _statuses(self) -> Sequence[Status]:
-        waiting_for = "" if self._is_ready else "the model to be compiled"
-        if self._is_ready and self._clock.read() is None:
-            waiting_for = "/clock (use_sim_time is true)"
-        elif self._is_ready and not self._live.input.samples:
+        waiting_for = self._waiting_for()
+        if not waiting_for and not self._live.input.samples:
             waiting_for = f"samples on {self._inputs.wanted}"
-        elif self._is_ready and not self._live.input.commands:
+        elif not waiting_for and not self._live.input.commands:
             waiting_for = f"a command on {self._inputs.voltage}"
         unheard = self._inputs.incompatible_publishers()
         if stamps := self._live.stamps.look(is_simulated=self._clock.is_simulated):

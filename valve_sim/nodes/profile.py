@@ -56,7 +56,7 @@ class ProfileNode(CommandingNode[ProfileSettings]):
         self._is_watching = False
         every(self._node, _LOOK_SECONDS, self._look)
         self._commanded: list[Commanded] = []
-        self._exit_code = 1
+        self.exit_code = 1
         self._next_progress = math.inf
 
     def _work(self) -> None:
@@ -72,7 +72,7 @@ class ProfileNode(CommandingNode[ProfileSettings]):
             )
             self._next_progress = self._clock.elapsed() + _PROGRESS_SECONDS
             play(self._drive, self._clock, self._command, lambda: self.stop.why, self._note)
-            self._exit_code = 0
+            self.exit_code = 0
         except ProfileBrokenOffError as reason:
             logger.error(f"broken off after {len(self._commanded)} of {len(self._drive.times)} commands: {reason}")
 
@@ -147,9 +147,9 @@ class ProfileNode(CommandingNode[ProfileSettings]):
         try:
             write_whole(path, as_csv(self._commanded))
         except ValveError as error:
-            self._exit_code = 1
+            self.exit_code = 1
             logger.error(str(error))
             return
         latest = max(entry.lateness for entry in self._commanded)
-        words = "done" if self._exit_code == 0 else "the coil is off"
+        words = "done" if self.exit_code == 0 else "the coil is off"
         logger.info(f"{words}: {len(self._commanded)} commands, the latest {1e3 * latest:.2f} ms late; wrote {path}")

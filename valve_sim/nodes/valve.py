@@ -80,7 +80,7 @@ class ValveNode(RosNode[ValveSettings]):
             max_voltage=own.max_voltage,
         )  # fmt: skip
         self._inbox = Inbox(self._node, self._clock)
-        self._failure, self._is_ready, self._was_waiting = "", False, True
+        self._failure, self._was_waiting = "", True
         self._said_open: bool | None = None
         joints = [joint for name, joint in JOINTS_OF.items() if name in live.shows]
         self._messages = ReadingMessages(own.frame_id, joints)
@@ -217,9 +217,7 @@ class ValveNode(RosNode[ValveSettings]):
 
     def _statuses(self) -> Iterator[Status]:
         now = self._now()
-        waiting_for = "" if self._is_ready else "the model to be compiled"
-        if self._is_ready and self._clock.read() is None:
-            waiting_for = "/clock (use_sim_time is true)"
+        waiting_for = self._waiting_for()
         kept = self._worker.timing.look(now)
         if self._was_waiting:
             kept = kept._replace(rate=math.nan)  # of a second during part of which it did not step

@@ -192,16 +192,14 @@ class RosNode(Generic[S]):
         self._initial_values = declared(self._node, sections, settings)
         self._settings: S = settings.of(self._initial_values)
         self._interface = Interface(self._node, topics)
-        self._exit_code = 0
+        self.exit_code = 0
+        """1 if the node failed."""
+        self._is_ready = False
+        """Whether the model is compiled, of a node that has one."""
         self.stop = StopRequest()
         self._threads: list[Stops] = []
         """What is asked to end at the node's end, in this order."""
         self._answering = _Answering(self._node, self.stop.ask, self._fail)
-
-    @property
-    def exit_code(self) -> int:
-        """0, or 1 if the node failed."""
-        return self._exit_code
 
     def run(self) -> None:
         """Answer ROS in a thread, and work in this one, until that is done or the node is asked to stop."""
@@ -232,6 +230,12 @@ class RosNode(Generic[S]):
         reading = self._clock.read()
         return 0 if reading is None else reading.nanoseconds
 
+    def _waiting_for(self) -> str:
+        """What its model cannot go on without; empty for nothing."""
+        if not self._is_ready:
+            return "the model to be compiled"
+        return "/clock (use_sim_time is true)" if self._clock.read() is None else ""
+
     def _full_names(self, key: str) -> list[str]:
         """The full names of the nodes that a parameter, which is a list, names."""
         return [full_name(self._node, given, key) for given in getattr(self._settings, key)]
@@ -248,7 +252,7 @@ class RosNode(Generic[S]):
     def _fail(self, error: Exception) -> None:
         """End the work, whichever thread cannot go on; ROS stays until the end."""
         if self._node.context.ok():
-            self._exit_code = 1
+            self.exit_code = 1
             self._node.get_logger().fatal(f"the node cannot go on: {error!r}")
         self.stop.ask(f"the node cannot go on: {error!r}")
 

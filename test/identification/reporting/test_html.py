@@ -19,7 +19,7 @@ from valve_sim.files.parameter_files import load_valve
 from valve_sim.identification.diagnosis.run import Diagnosis
 from valve_sim.identification.reporting import strokes as curves
 from valve_sim.identification.reporting.claims import headline, summarise
-from valve_sim.identification.reporting.diagnosis import SHOWN_STROKES, diagnosis_document
+from valve_sim.identification.reporting.diagnosis_document import SHOWN_STROKES, diagnosis_document
 from valve_sim.identification.reporting.files import write_diagnosis
 from valve_sim.identification.reporting.page import write_page
 from valve_sim.identification.reporting.record_next import STROKE_LEVELS

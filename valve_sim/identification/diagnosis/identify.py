@@ -287,6 +287,10 @@ def fit_beside_errors(
         best = _without_influence(fitter.fitted_plainly(), free)
         return best, 1.0 if leaves_more_than_noise(best) else 0.0
     tried = fitter.fitted_declared()
+    if restless := problem.moves_at_rest(tried.values):
+        problem = problem.without_rest(restless).with_noise_left_by(tried.values)
+        fitter = Fitter(problem, rivals, free=free, starts=[tried.values])
+        tried = fitter.fitted_declared()
     unnamed = rivals.unnamed_beside((), tried.evidence)
     best = _without_influence(fitter.settled(tried), free)
     say("fit", 0.3)

@@ -135,18 +135,23 @@ def _begun(
     progress: Progress | None,
     budget: Budget,
     given: tuple[Mapping[str, float], Mapping[str, Noise], Mapping[str, float]],
+    restless: frozenset[str] = frozenset(),
 ) -> DiagnosisSession:
-    """The declared model, refitted."""
+    """The declared model, refitted; restless: kinds of channel that move also where they look still."""
     least, known, held = given
     say = progress or (lambda what, fraction: None)
     train_mask, holdout_mask = _split(plant) if holdout is None else (None, None)
     problem = Problem(plant, train_mask, budget=budget)
+    problem = problem.without_rest(restless)
     never_still = [kind for kind, noise in problem.noises.items() if noise.samples == 0]
     problem = _with_least(problem.with_noises({kind: known[kind] for kind in never_still if kind in known}), least)
     unknown = [kind for kind in never_still if kind not in known]
-    if unknown:
+    is_guessed = bool(unknown)
+    while is_guessed:
         say("noise, by what all effects together leave", 0.0)
-        problem = problem.with_noise_left_by(_largest_fit(problem).values)
+        guess, problem = problem.noises, problem.with_noise_left_by(_largest_fit(problem).values)
+        # A fit beside noise that is guessed much too large ends early.
+        is_guessed = any(guess[kind].sigma > NOISIER * problem.noises[kind].sigma for kind in unknown)
     held_out = None
     if holdout is not None:
         held_out = Problem(holdout, budget=budget).with_noises({kind: problem.noises[kind] for kind in never_still})
@@ -156,9 +161,11 @@ def _begun(
     reads_at_rest = not held or shows_rest(plant)
     search = Search(problem.condensed(), progress, held, reads_at_rest=reads_at_rest)
     search.fit_declared()
+    if found := problem.moves_at_rest(search.tried[()].values) - least.keys():
+        return _begun(plant, holdout, progress, budget, given, restless | found)
 
     def again(noises: Mapping[str, Noise]) -> DiagnosisSession:
-        return _begun(plant, holdout, progress, budget, (least, {**known, **noises}, held))
+        return _begun(plant, holdout, progress, budget, (least, {**known, **noises}, held), restless)
 
     return DiagnosisSession(search, HeldOut(held_out), say, again if unknown else None)
 

@@ -6,8 +6,9 @@ posterior gives it `SURE` against nothing:
 
     ln ∫ π(z) exp(−(z − a)²/2σ² + a²/2σ²) dz + ln P(effect) − ln P(nothing) = ln SURE/(1 − SURE)
 
-The limit is the a that solves this (theory, section 10). σ is that of a small effect: an effect that shows little while
-it is small, as a rebound that only begins above a speed, has no limit here.
+The limit is the a that solves this (theory, section 10). σ is that of an effect of this size. Where one shows much
+more while it is smaller, as the least friction holds a plunger that creeps, that is no part of it; one that shows
+little while it is small, as a rebound that only begins above a speed, has no limit here.
 """
 
 from __future__ import annotations
@@ -19,14 +20,20 @@ from typing import Final
 import numpy as np
 
 from valve_sim.identification.fit.fitter import Fitter, Tried
+from valve_sim.identification.fit.gaussian import Gaussian
 from valve_sim.identification.fit.posterior import SURE
 from valve_sim.identification.fit.priors import Normal
 from valve_sim.identification.fit.score_test import MOVES_NOTHING, log_bayes_factor, moved_by, tangents
 from valve_sim.identification.fit.starts import SMALL, Near
 from valve_sim.identification.fit.unknown import Hypothesis, Unknown
+from valve_sim.model import SimulationError
 
 Limits = Mapping[str, Mapping[str, float]]
 """Limits by effect and by the parameter that switches it, SI."""
+WIDER: Final = 1.1
+"""Times a standard error, from which another one counts."""
+ROUNDS: Final = 4
+"""Times that a standard error is worked out at the limit that it gives."""
 FINE: Final = 1e-6
 """Relative width at which a bisection ends."""
 
@@ -46,9 +53,33 @@ def detection_limits(fitter: Fitter, tried: Tried) -> dict[str, dict[str, float]
         needed = math.log(SURE / (1.0 - SURE)) + rivals.log_prior(())[0] - rivals.log_prior((name,))[0]
         sigmas = _sigmas(fitter, tried, own)
         found[name] = {
-            _short(one): _limit(one, sigmas.get(one.name, math.inf), needed) for one in own.frees if one.is_switch
+            _short(one): _limit(fitter, tried, own, (one, sigmas.get(one.name, math.inf), needed))
+            for one in own.frees
+            if one.is_switch
         }
     return found
+
+
+def _limit(fitter: Fitter, tried: Tried, own: Hypothesis, of: tuple[Unknown, float, float]) -> float:
+    """How large a switch has to be, with the standard error that it has when it is so large.
+
+    Args:
+        of: the switch, its standard error where it is small, in its coordinate, and what is needed of ln p.
+    """
+    switch, sigma, needed = of
+    size = _size(switch, sigma, needed)
+    for _ in range(ROUNDS if not own.is_declared_value else 0):
+        if math.isinf(size):
+            break
+        there = _sigma_at(fitter, tried, own, switch, switch.value(switch.start + size))
+        if there < WIDER * sigma:
+            break
+        sigma = there
+        size = _size(switch, sigma, needed)
+    if math.isinf(size):
+        return math.inf
+    value, off = switch.value(switch.start + size), switch.value(switch.start)
+    return value if math.isinf(off) else abs(value - off)
 
 
 def _short(own: Unknown) -> str:
@@ -80,8 +111,23 @@ def _sigmas(fitter: Fitter, tried: Tried, own: Hypothesis) -> dict[str, float]:
     return found
 
 
-def _limit(own: Unknown, sigma: float, needed: float) -> float:
-    """By how far a value is off where it does nothing, for so much of ln p; inf where nothing is enough."""
+def _sigma_at(fitter: Fitter, tried: Tried, own: Hypothesis, switch: Unknown, value: float) -> float:
+    """Standard error of a switch beside all that the fit frees, where it has a value; 0 where that is not known."""
+    there = {**own.off(), switch.name: value}
+    model, freed = fitter.model((), there), fitter.model((own.name,))
+    try:
+        z = model.at(tried.values)
+        column = freed.tangent(freed.at({**tried.values, **there}), freed.index[switch.name])
+        if column is None:
+            return 0.0
+        power = float(Gaussian(model, z, model.linearise(z), fitter.sizes).beyond(column[:, None])[0][0, 0])
+    except SimulationError:
+        return 0.0
+    return 1.0 / math.sqrt(power) if power * switch.scale**2 > MOVES_NOTHING else 0.0
+
+
+def _size(own: Unknown, sigma: float, needed: float) -> float:
+    """By how far a coordinate is off where it does nothing, for so much of ln p; inf where nothing is enough."""
     most = max(own.start - own.lower, own.upper - own.start)
     sign = 1.0 if own.upper - own.start >= own.start - own.lower else -1.0
     if not 0.0 < sigma < math.inf:
@@ -96,7 +142,4 @@ def _limit(own: Unknown, sigma: float, needed: float) -> float:
     while high - low > FINE * high:
         middle = 0.5 * (low + high)
         low, high = (low, middle) if is_enough(middle) else (middle, high)
-    if high > most or math.isinf(high):
-        return math.inf
-    value, off = own.value(own.start + sign * high), own.value(own.start)
-    return value if math.isinf(off) else abs(value - off)
+    return math.inf if high > most or math.isinf(high) else sign * high

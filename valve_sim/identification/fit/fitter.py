@@ -142,12 +142,14 @@ class Fitter:
 
     # -- models and fits -----------------------------------------------------------------------------------------------
 
-    def model(self, names: Set, *, has_columns: bool = True, is_bare: bool = False) -> Model:
+    def model(
+        self, names: Set, held: Mapping[str, float] | None = None, *, has_columns: bool = True, is_bare: bool = False
+    ) -> Model:
         """The machine with a set freed, and errors of the recordings that are more than none.
 
         Args:
-            names: the set. has_columns: whether errors of the sensors are among them.
-            is_bare: whether nothing that varies of the machine is, and no stamp.
+            names: the set. held: values that are fixed, by name. has_columns: whether errors of the sensors are among
+                those that are freed. is_bare: whether nothing that varies of the machine is, and no stamp.
         """
         chosen = [self.curves[name] if name in self.curves else self.hypotheses[name] for name in names]
         frees = {own.name: own for own in self.unknowns.base}
@@ -156,9 +158,9 @@ class Fitter:
         columns = self.problem.columns
         local = [] if is_bare else [*columns.varying, *self.unknowns.stamps]
         linear = columns.unknowns if has_columns else ()
-        held = {name: value for one in chosen for name, value in one.held.items()}
+        fixed = {name: value for one in chosen for name, value in one.held.items()} | dict(held or {})
         errors = [own for own in (*local, *linear) if own.is_there(self.sizes)]
-        return Model(self.problem, [*frees.values(), *known, *errors], held)
+        return Model(self.problem, [*frees.values(), *known, *errors], fixed)
 
     def descended(
         self, model: Model, values: Mapping[str, float], *, most: int = MOST, goal: float = math.inf,

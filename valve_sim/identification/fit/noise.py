@@ -38,6 +38,11 @@ LARGEST_DEGREE: Final = 3
 """Of the drift of what settles."""
 PLAIN_DRIFT: Final = 5.0
 """Standard errors of a drift's curve, beyond which it is one: less may be slow noise."""
+PLAINLY_MORE: Final = 2.0
+"""Times what a model leaves, beyond which noise read at rest was motion; and times a step or rounding, below which it
+is these."""
+READ_AGAIN: Final = 3
+"""Readings of the usual level of a sensor with uneven steps: levels of a motion are read once or twice."""
 HIDDEN: Final = 0.25
 """Of a step: noise of this standard deviation takes one reading in twenty at rest to another code, less hides."""
 DRAWS: Final = 20
@@ -282,6 +287,19 @@ def noise_of_residuals(pieces: Sequence[Array], guess: Noise) -> Noise:
     return _with_slow_part(found, long, [_level(piece) for piece in long])
 
 
+def is_motion(noise: Noise, channels: Sequence[Channel], left: Sequence[Array]) -> bool:
+    """Whether noise that was read at rest is plainly more than a model leaves anywhere, so that no rest was one.
+
+    Args:
+        noise: of the channels. left: (n,) each, measured less modelled.
+    """
+    is_read = noise.samples > 0 and not any(channel.noise > 0.0 for channel in channels)
+    if not is_read or noise.sigma < PLAINLY_MORE * max(noise.step, _floor(channels)):
+        return False
+    squares, count = sum(float(own @ own) for own in left), sum(map(len, left))
+    return count >= SHORT_WINDOW and noise.sigma > PLAINLY_MORE * math.sqrt(squares / count)
+
+
 def quiet_windows(channel: Channel, shortest: int = SHORTEST_WINDOW) -> list[Window]:
     """The stretches of a channel in which the machine is still, each of at least `shortest` samples.
 
@@ -357,15 +375,22 @@ def _spread(windows: Sequence[Window]) -> float:
 
 
 def quantisation_step(*pieces: Array) -> float:
-    """The step of a quantised signal, in its unit; 0 if readings hardly repeat."""
-    levels = repeated_levels(np.concatenate(pieces)) if pieces else np.empty(0)
+    """The step of a quantised signal, in its unit; 0 if readings hardly repeat.
+
+    Steps of a curved sensor behind a converter, as of a thermistor, differ: then it is the median of those between
+    levels, where most of these are read again and again.
+    """
+    readings = np.concatenate(pieces) if pieces else np.empty(0)
+    levels = repeated_levels(readings)
     if len(levels) < 3:
         return 0.0
     gaps = np.diff(levels)
     step = float(np.quantile(gaps, 0.05))
     multiples = gaps / step
-    on_grid = np.abs(multiples - np.round(multiples)) < 0.02
-    return step if step > 0 and np.mean(on_grid) > 0.95 else 0.0
+    if step > 0.0 and np.mean(np.abs(multiples - np.round(multiples)) < 0.02) > 0.95:
+        return step
+    counts = np.histogram(readings, np.concatenate([[-np.inf], levels[:-1] + 0.5 * gaps, [np.inf]]))[0]
+    return float(np.median(gaps)) if float(np.median(counts)) >= READ_AGAIN else 0.0
 
 
 def still_runs(data: Array) -> Array:

@@ -6,7 +6,8 @@ import contextlib
 import copy
 import functools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -21,6 +22,7 @@ from valve_sim.identification.fit.noise import (
     SHORT_WINDOW,
     Noise,
     estimate_noise,
+    is_motion,
     noise_of_residuals,
     quiet_windows,
     readings_near,
@@ -139,14 +141,34 @@ class Problem:
 
     def with_noise_left_by(self, values: Mapping[str, float]) -> Problem:
         """This problem with the noise of what is never still taken from what these values leave of it."""
+        never_still = {kind for kind, noise in self.noises.items() if noise.samples == 0}
+        pieces = self._left_by(values, never_still)
+        return self.with_noises(
+            {**self.noises, **{kind: noise_of_residuals(found, self.noises[kind]) for kind, found in pieces.items()}}
+        )
+
+    def moves_at_rest(self, values: Mapping[str, float]) -> set[str]:
+        """Kinds of channel whose noise at rest is plainly more than these values leave: they moved all the time."""
+        pieces = self._left_by(values, set(self.noises))
+        return {
+            kind
+            for kind, found in pieces.items()
+            if is_motion(self.noises[kind], [own for own in self.plant.channels if own.kind == kind], found)
+        }
+
+    def without_rest(self, kinds: Collection[str]) -> Problem:
+        """This problem, of which the noise of some kinds of channel is not known."""
+        return self.with_noises({kind: replace(self.noises[kind], samples=0) for kind in kinds}) if kinds else self
+
+    def _left_by(self, values: Mapping[str, float], kinds: set[str]) -> dict[str, list[Array]]:
+        """Measured less predicted, in each group of each channel, by kind."""
         shown = self.plant.predict(values)
-        pieces: dict[str, list[Array]] = {kind: [] for kind, noise in self.noises.items() if noise.samples == 0}
+        pieces: dict[str, list[Array]] = {kind: [] for kind in kinds}
         for index, channel in enumerate(self.plant.channels):
-            for group in np.unique(channel.group) if channel.kind in pieces else ():
+            for group in np.unique(channel.group) if channel.kind in kinds else ():
                 chosen = (channel.group == group) & (self.weight(index) > 0.0)
                 pieces[channel.kind].append((channel.data - shown[index])[chosen])
-        learned = {kind: noise_of_residuals(found, self.noises[kind]) for kind, found in pieces.items()}
-        return self.with_noises({**self.noises, **learned})
+        return pieces
 
     def with_noises(self, noises: Mapping[str, Noise]) -> Problem:
         """This problem with other noise; data and samples are kept."""

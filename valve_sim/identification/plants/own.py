@@ -46,6 +46,10 @@ CALMEST: Final = 0.1
 """Of windows, the share in which second differences are taken to show a sensor's noise alone."""
 STANDS: Final = 4.0
 """Standard errors of the difference of the means of both halves."""
+STANDS_WITHIN: Final = 0.1
+"""Of an input's whole range: what varies by more in a window acts on the machine."""
+CONSTANT: Final = 0.01
+"""Of an input's largest reading: one that never varies by more stands all the time."""
 QUANTILES: Final = (0.1, 0.3, 0.5, 0.7, 0.9)
 """Of what a threshold acts on, from which fits start it."""
 LAG: Final = 0.01
@@ -787,9 +791,11 @@ def quiet_samples(times: Array, data: Array, inputs: Sequence[Column]) -> NDArra
     still &= spread <= max(12.0 * noise, 2.0 * quantum) + 1e-15
     for column in inputs:
         own = np.interp(times, column.times, column.readings)
-        size = _noise_between_neighbours(own, first)
-        allowed = max(12.0 * size, 1e-3 * float(np.ptp(own)))
-        still &= np.array([np.ptp(own[i : i + QUIET]) <= allowed for i in first])
+        size, whole = _noise_between_neighbours(own, first), float(np.ptp(own))
+        if whole > CONSTANT * float(np.max(np.abs(own))):
+            # Neighbours differ by all of its range where it is switched at each sample, which is no noise.
+            allowed = max(min(12.0 * size, STANDS_WITHIN * whole), 1e-3 * whole)
+            still &= np.array([np.ptp(own[i : i + QUIET]) <= allowed for i in first])
     for i in first[still]:
         quiet[i : i + QUIET] = True
     return quiet

@@ -160,8 +160,8 @@ def holdout_words(diagnosis: Diagnosis) -> str:
     if diagnosis.before.holdout is None:
         return "No data were held out: only the fitted data support this."
     return (
-        "Held-out data take no part in the fits. They are predicted with everything that the fitted data have "
-        "determined; only the errors of their recording, its clocks and stamps, are estimated anew."
+        "Held-out data take no part in the fits. The fitted values predict them; only the errors of their recording, "
+        "such as its clock's, are estimated again."
     )
 
 
@@ -171,10 +171,10 @@ def unseen_noise_words(diagnosis: Diagnosis) -> str:
     if problem.noise_of(channel).samples:
         return ""
     is_plant_file = isinstance(diagnosis.plant, OwnPlant)
-    mend = " Declare it where a data sheet has it (noise: of an output)." if is_plant_file else ""
+    mend = " If a data sheet has it, declare it (noise: of an output)." if is_plant_file else ""
     return (
-        "The sensor's noise is not known, since the machine is never still for long enough to show it: what the best "
-        f"model leaves is taken for it, and what else is as small may act unseen.{mend}"
+        "The sensor's noise is not known, because the machine is never still for long enough. The residual of the best "
+        f"model is taken for the noise, so an effect of that size would not be seen.{mend}"
     )
 
 

@@ -21,10 +21,10 @@ from valve_sim.identification.plants.tolerances import GROUP
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting import claims, values
 from valve_sim.identification.reporting import document as doc
-from valve_sim.identification.reporting.correction import correction_section
+from valve_sim.identification.reporting.correction_chapter import correction_section
 from valve_sim.identification.reporting.force_curves import MovingSamples, force_curve, motion_of, unexplained_json
 from valve_sim.identification.reporting.record_next import profile_of, typed_commands, typed_option
-from valve_sim.identification.reporting.recording_state import limits_table, recording_sections
+from valve_sim.identification.reporting.recording_document import limits_table, recording_sections
 from valve_sim.identification.reporting.strokes import strokes_followed, worst_first
 from valve_sim.identification.reporting.units import (
     change,
@@ -47,30 +47,24 @@ _SMALLEST_PROBABILITY: Final = 1e-6
 """Smaller p-values are shown as below this one."""
 LEGEND: Final = (("measured", "measured"), ("before", "before"), ("after", "after"))
 BAND: Final = (
-    "Below each stroke: measured − model, and the band of two standard deviations that the corrected model predicts, "
-    "noise included. Errors are over all samples; drawn are, of equal bins, the samples at which a curve or a "
-    "residual is lowest or highest."
+    "Below each stroke: measured − model. The band is two standard deviations that the corrected model predicts, with "
+    "noise. Errors are over all samples; plots show the extremes of equal bins."
 )
 TRIED: Final = (
-    "Each set of effects that was fitted beside the declared model; a click on a title sorts. Probability: the "
-    "posterior probability, among all sets that were tried. Ln evidence: the natural logarithm of the Bayes factor "
-    "against the declared model, which penalises free parameters; +5 means odds of 150 to 1. Held-out strokes are "
-    "predicted, not fitted."
+    "Sets of effects that were fitted beside the declared model; click a title to sort. Probability is posterior, "
+    "among all sets that were tried. Ln evidence is the logarithm of the Bayes factor against the declared model: +5 "
+    "means odds of 150 to 1. Held-out strokes are predicted, not fitted."
 )
 FORCES: Final = (
-    "For each variable, the force over it that best explains the residual of the refitted declared model. The best "
-    "explanation comes first: the one with the largest ln evidence over the declared model. The band is two standard "
-    "errors, and rms is the force while the machine moves. Gaps are places that the recording did not reach, or at "
-    "which a stop takes up any force: the data do not determine the force there."
+    "For each variable, the force over it that best explains the residual of the refitted declared model, the best "
+    "first. The band is two standard errors; rms is while the machine moves. The data do not determine the force in "
+    "the gaps, which the recording did not reach or where a stop takes up any force."
 )
 FOLLOWED: Final = (
-    "No position was measured in these strokes. It is computed by the corrected model, and is right as far as that "
-    "model is. The band is two standard errors of the estimated parameters."
+    "No position was measured in these strokes. The corrected model computes it, with two standard errors of the "
+    "estimated parameters as the band. It is as right as that model is."
 )
-OUTDONE: Final = (
-    "No force over position, velocity or time alone explains the data nearly as well as the named effects, so none is"
-    " shown."
-)
+OUTDONE: Final = "No force over position, velocity or time alone explains the data nearly as well as the named effects."
 
 
 def diagnosis_document(
@@ -188,7 +182,7 @@ def _record_next(diagnosis: Diagnosis, folder: Path | None, options: str) -> doc
             for pair, apart in best.together
         ]
         if advice:
-            expected = "What this recording is expected to show, all else refitted:"
+            expected = "By how much this recording is expected to separate them, all else refitted:"
             blocks += [doc.Words(expected, on="page"), doc.Items(pairs, on="page")]
     if advice and isinstance(diagnosis.plant, ValvePlant):
         drive = profile_of(diagnosis)
@@ -367,7 +361,7 @@ def _tried(diagnosis: Diagnosis) -> doc.Chapter:
             doc.Words("No effect was fitted: the score test finds none that would gain evidence.", style="soft")
         )
     if likely:
-        blocks.append(doc.Table(("each effect, whatever acts beside it", "probability"), likely, on="page"))
+        blocks.append(doc.Table(("each effect, alone or beside others", "probability"), likely, on="page"))
     if limits:
         table = limits_table(plant, limits, head=("an effect that acts alone", "named in half of such recordings from"))
         blocks.append(table)
