@@ -14,7 +14,7 @@ from valve_sim.files.plant_files import load_plant
 from valve_sim.identification.diagnosis.identify import identify_plant
 from valve_sim.identification.diagnosis.run import diagnose_plant
 from valve_sim.identification.plants.own import OwnPlant
-from valve_sim.identification.reporting.diagnosis import diagnosis_document
+from valve_sim.identification.reporting.diagnosis_document import diagnosis_document
 from valve_sim.identification.reporting.page import write_page
 from valve_sim.traces.columns import read
 

@@ -24,7 +24,7 @@ from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.identify import identify
 from valve_sim.identification.diagnosis.run import Diagnosis
 from valve_sim.identification.reporting import strokes
-from valve_sim.identification.reporting.diagnosis import diagnosis_document
+from valve_sim.identification.reporting.diagnosis_document import diagnosis_document
 from valve_sim.identification.reporting.page import write_page
 from valve_sim.model import CATALOGUE, Drive, Reading, Response, Stepper, simulate
 from valve_sim.traces import CSV_COLUMNS, Signal, Trace, read_trace, write_bag, write_csv

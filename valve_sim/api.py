@@ -146,13 +146,13 @@ class Identification(fitting.Identification):
 
     def __str__(self) -> str:
         """The report for a terminal."""
-        from valve_sim.identification.reporting.identification import identification_document
+        from valve_sim.identification.reporting.identification_document import identification_document
 
         return identification_document(self).to_text()
 
     def _repr_html_(self) -> str:
         """The refitted parameters as a table, with what was found beside it."""
-        from valve_sim.identification.reporting.findings import remarks
+        from valve_sim.identification.reporting.finding_sentences import remarks
 
         said = "".join(f"<p>{html.escape(words)}</p>" for words in remarks(self.findings))
         return _html_table(f"{len(self.intervals)} parameters refitted", self._rows()) + said
@@ -203,7 +203,7 @@ class Diagnosis(outcome.Diagnosis):
 
     def __str__(self) -> str:
         """The report for a terminal."""
-        from valve_sim.identification.reporting.diagnosis import diagnosis_document
+        from valve_sim.identification.reporting.diagnosis_document import diagnosis_document
 
         return diagnosis_document(self).to_text()
 

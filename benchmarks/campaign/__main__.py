@@ -16,7 +16,7 @@ from benchmarks.campaign.constants import constants_table
 from benchmarks.campaign.running import Outcome, examine, run_cases, true_declared
 from benchmarks.campaign.tables import DEMANDS, OF_A_SLICE, tables
 from benchmarks.common import add_jobs, add_seeds, parser
-from valve_sim.identification.reporting.diagnosis import diagnosis_document
+from valve_sim.identification.reporting.diagnosis_document import diagnosis_document
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

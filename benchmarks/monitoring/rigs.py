@@ -22,7 +22,7 @@ from valve_sim.identification.monitoring.fault_isolation import FaultFinding, is
 from valve_sim.identification.monitoring.findings import StrokeState
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
-from valve_sim.identification.reporting.monitoring import finding_words
+from valve_sim.identification.reporting.monitor_messages import finding_words
 from valve_sim.model import Valve
 
 Effects = Mapping[str, Mapping[str, float]]

@@ -14,9 +14,9 @@ from valve_sim.identification.diagnosis.followed_positions import followed_posit
 from valve_sim.identification.diagnosis.identify import identify
 from valve_sim.identification.diagnosis.run import diagnose, diagnose_plant
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.reporting.diagnosis import diagnosis_document
-from valve_sim.identification.reporting.identification import identification_document
-from valve_sim.identification.reporting.validation import validation_document
+from valve_sim.identification.reporting.diagnosis_document import diagnosis_document
+from valve_sim.identification.reporting.identification_document import identification_document
+from valve_sim.identification.reporting.validation_document import validation_document
 from valve_sim.identification.validation.replay import validate
 from valve_sim.model import Drive, Tolerances, Valve
 from valve_sim.traces import Signal, Trace, events_from_sensors

@@ -24,7 +24,7 @@ from valve_sim.identification.monitoring.findings import OpenedPartly, WaitsForP
 from valve_sim.identification.monitoring.segmenter import StrokeSegmenter
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.reporting.validation import validation_document
+from valve_sim.identification.reporting.validation_document import validation_document
 from valve_sim.identification.validation.replay import validate
 from valve_sim.model import Drive, ParameterError, Tolerances, Valve, simulate
 from valve_sim.nodes.identification_work import predict

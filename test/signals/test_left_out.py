@@ -175,6 +175,17 @@ def test_a_signal_that_drops_to_zero_while_the_valve_is_open_is_left_out(sensor:
     assert found.counts["repeated"] >= 200
 
 
+def test_what_lies_between_two_dropouts_stays() -> None:
+    """The first begins while the valve is closed, the second ends there: between them are the only jumps."""
+    recording = measured()
+    spoilt, where = recording.pilot_position.copy(), np.zeros(len(recording.times), dtype=bool)
+    for start, stop in ((1300, 1600), (1840, 2320)):
+        spoilt[start:stop], where[start:stop] = 0.0, True
+    found = found_in(recording, spoilt)
+    assert np.count_nonzero(found.any & ~where) <= 5
+    assert np.mean(found.any[where]) > 0.95
+
+
 @pytest.mark.parametrize("sensor", ["coarse", "no noise"])
 def test_a_rest_that_is_held_while_the_plunger_leaves_it_is_left_out_whole(sensor: str) -> None:
     """Of a sensor that shows no noise nobody knows from when on it is held."""

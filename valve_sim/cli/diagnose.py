@@ -90,7 +90,7 @@ def diagnose(
     from valve_sim.identification.diagnosis.run import diagnose as diagnose_valve
     from valve_sim.identification.diagnosis.run import diagnose_plant
     from valve_sim.identification.fit.budget import Budget
-    from valve_sim.identification.reporting.diagnosis import diagnosis_document
+    from valve_sim.identification.reporting.diagnosis_document import diagnosis_document
     from valve_sim.identification.reporting.files import FILES, write_diagnosis
 
     planned = [*(output / file for file in FILES), *([] if plot is None else [plot])]

@@ -59,8 +59,8 @@ def fit_force(
     from valve_sim.files.whole_files import write_whole
     from valve_sim.identification.fit.static_force import fit_static_force
     from valve_sim.identification.reporting.figures import save_plots
-    from valve_sim.identification.reporting.findings import remarks
-    from valve_sim.identification.reporting.identification import static_force_document
+    from valve_sim.identification.reporting.finding_sentences import remarks
+    from valve_sim.identification.reporting.identification_document import static_force_document
 
     map_file = chosen_map_file()
     sources = None if map_file is None else load_force_map(map_file)

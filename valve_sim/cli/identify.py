@@ -66,7 +66,7 @@ def identify(
     from valve_sim.identification.diagnosis.identify import identify as identify_valve
     from valve_sim.identification.diagnosis.identify import identify_plant
     from valve_sim.identification.reporting.files import IDENTIFIED, write_identification
-    from valve_sim.identification.reporting.identification import identification_document
+    from valve_sim.identification.reporting.identification_document import identification_document
 
     free = ",".join(freed) if freed else None
     params = chosen_params(plant, params)

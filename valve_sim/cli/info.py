@@ -116,14 +116,14 @@ def _state(trace: Trace, params: Path | None, name: str | None) -> RecordingStat
 
 
 def _as_json(summary: TraceSummary, arrivals: Sequence[StrokeEvents], state: RecordingState | None) -> dict[str, Any]:
-    from valve_sim.identification.reporting.recording_state import recording_document
+    from valve_sim.identification.reporting.recording_document import recording_document
 
     told = {**plain(summary), "arrivals": plain(arrivals)}
     return told if state is None else {**told, "state": recording_document(state).to_json()}
 
 
 def _print_state(state: RecordingState) -> None:
-    from valve_sim.identification.reporting.recording_state import recording_document
+    from valve_sim.identification.reporting.recording_document import recording_document
 
     click.echo(shown(recording_document(state).to_text()))
 

@@ -106,7 +106,7 @@ def validate(
     if plot is not None and len(bags) > 1:
         raise click.UsageError("--plot draws one recording; give one BAG", click.get_current_context())
     from valve_sim.files.whole_files import refuse_unwritable, write_whole
-    from valve_sim.identification.reporting.validation import validation_document
+    from valve_sim.identification.reporting.validation_document import validation_document
     from valve_sim.identification.validation.own_plant import validate_plant
     from valve_sim.identification.validation.replay import validate as replay
 

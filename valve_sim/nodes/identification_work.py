@@ -27,7 +27,7 @@ from valve_sim.identification.fit.findings import leaves_more_than_noise
 from valve_sim.identification.fit.intervals import Interval
 from valve_sim.identification.plants.valve import DAMPINGS, dampings_of
 from valve_sim.identification.plants.valve_sensors import response_to
-from valve_sim.identification.reporting.identification import identification_document
+from valve_sim.identification.reporting.identification_document import identification_document
 from valve_sim.identification.reporting.units import measured
 from valve_sim.model import Phase, Reading, Response, Valve
 from valve_sim.model.errors import ValveError
@@ -306,7 +306,7 @@ def _diagnosed(
     from valve_sim.identification.diagnosis.run import diagnose
     from valve_sim.identification.fit.budget import Budget
     from valve_sim.identification.reporting.claims import summarise
-    from valve_sim.identification.reporting.diagnosis import diagnosis_document
+    from valve_sim.identification.reporting.diagnosis_document import diagnosis_document
     from valve_sim.identification.reporting.record_next import write_record_next
 
     result = diagnose([trace], [], declared, progress, Budget.of_seconds(settings.budget))

@@ -19,7 +19,7 @@ from valve_sim.identification.monitoring.findings import Occasion, Prediction, S
 from valve_sim.identification.monitoring.memory import load_commissioning, save_commissioning
 from valve_sim.identification.monitoring.scores import Baseline
 from valve_sim.identification.monitoring.stroke_monitor import StrokeMonitor, StrokeReport
-from valve_sim.identification.reporting.monitoring import occasion_words, told_finding
+from valve_sim.identification.reporting.monitor_messages import occasion_words, told_finding
 from valve_sim.model import ParameterError
 from valve_sim.nodes import topics
 from valve_sim.nodes.diagnostics import Level, Status

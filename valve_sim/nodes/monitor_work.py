@@ -18,7 +18,7 @@ from valve_sim.identification.monitoring.fault_isolation import FaultFinding, is
 from valve_sim.identification.monitoring.findings import Fault, Occasion, StrokeRecord, StrokeState
 from valve_sim.identification.monitoring.scores import Baseline
 from valve_sim.identification.monitoring.stroke_monitor import StrokeMonitor, StrokeReport
-from valve_sim.identification.reporting.monitoring import (
+from valve_sim.identification.reporting.monitor_messages import (
     TIMING_UNCERTAIN,
     fault_words,
     finding_json,

@@ -40,7 +40,7 @@ FEWEST_REPEATED: Final = 3
 HABIT: Final = 0.2
 """Share of the readings that repeat, or of moves that follow repeats, above which the sensor works so."""
 FEWEST_CLIPPED: Final = 20
-"""Readings at one value from which it may be the end of the range."""
+"""Readings at one value, and times that it is come to, from which it may be the end of the range."""
 CLIPPED: Final = 0.05
 """Share of the readings near the end of the range that are at it, and over these of readings beyond it, by spikes."""
 BIASED: Final = 16.0
@@ -157,11 +157,16 @@ def _too_fast(times: Array, positions: Array) -> Mask:
     jumps = np.flatnonzero(np.abs(changes) > FASTEST * np.diff(times))
     into, out = changes[jumps[:-1]], changes[jumps[1:]]
     comes_back = np.abs(into + out) < 0.5 * np.minimum(np.abs(into), np.abs(out))
-    taken = np.zeros(len(jumps) + 1, dtype=bool)
+    taken, middle = np.zeros(len(jumps) + 1, dtype=bool), float(np.median(positions))
+    farthest = FARTHEST * float(np.ptp(np.quantile(positions, [0.05, 0.95])))
     for place in sorted(np.flatnonzero(comes_back).tolist(), key=lambda place: int(jumps[place + 1] - jumps[place])):
-        if not (taken[place] or taken[place + 1]):
+        own = slice(int(jumps[place]) + 1, int(jumps[place + 1]) + 1)
+        values = positions[own]
+        # What lies between the end of one fault and the beginning of another is right.
+        is_fault = len(values) <= BESIDE or not np.ptp(values) or np.abs(values - middle).min() > farthest
+        if is_fault and not (taken[place] or taken[place + 1]):
             taken[place : place + 2] = True
-            found[jumps[place] + 1 : jumps[place + 1] + 1] = True
+            found[own] = True
     return found
 
 
@@ -202,6 +207,9 @@ def _clipped(positions: Array, away: Mask, step: float) -> Mask:
         counts = [int(np.count_nonzero(own)) for own in (at_end, near, beyond)]
         if counts[0] < max(FEWEST_CLIPPED, CLIPPED * counts[1]) or counts[2] > CLIPPED * counts[0]:
             continue
+        # All are at the end, or it is often come to: else the readings were held.
+        if counts[0] < (1.0 - CLIPPED) * counts[1] and np.count_nonzero(np.diff(at_end)) < 2 * FEWEST_CLIPPED:
+            continue
         # Between coarse steps noise shows at one rest, and not at the other.
         if noise.likeliest < HABIT and 2.0 * noise.likeliest * counts[1] < counts[0]:
             found |= near
@@ -223,7 +231,9 @@ def _repeated(times: Array, positions: Array, spikes: Mask, clipped: Mask, step:
     is_passed = (changes > noise.seen).all(axis=0) | (changes < -noise.seen).all(axis=0)
     is_passed &= np.abs(changes[1]) > np.abs(changes[0] + changes[2])
     reach = 0.5 * LARGEST_ACCELERATION * np.square(times[kept[left]] - times[kept[left - 1]])
-    is_passed |= noise.is_hidden & (np.abs(after - at) > noise.seen + reach).all(axis=0)
+    comes_back = (changes[0] * changes[1] < 0.0) & (np.abs(changes[0]) > noise.seen + reach)
+    is_left = (np.abs(after - at) > noise.seen + reach).all(axis=0)
+    is_passed |= noise.is_hidden & is_left & (comes_back | (np.abs(after[2] - after[0]) > noise.seen))
     is_long = (length >= noise.longest_row(count)) & (not noise.is_hidden)
     is_fault = is_passed & (
         np.count_nonzero(is_passed) <= HABIT * np.count_nonzero(np.abs(np.diff(values)) > noise.seen)

@@ -10,7 +10,7 @@ from plants.recording import Recorder, train_profile
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose, diagnose_plant
 from valve_sim.identification.fit.budget import DERIVATIVES, STROKES_A_SECOND, Budget
 from valve_sim.identification.reporting.claims import summarise
-from valve_sim.identification.reporting.diagnosis import diagnosis_document
+from valve_sim.identification.reporting.diagnosis_document import diagnosis_document
 from valve_sim.model import ValveError
 
 from ..recordings import Short

@@ -26,7 +26,7 @@ from valve_sim.identification.fit.findings import (
     StampErrors,
 )
 from valve_sim.identification.fit.intervals import Unbounded
-from valve_sim.identification.reporting.identification import identification_document
+from valve_sim.identification.reporting.identification_document import identification_document
 from valve_sim.model import ParameterError, Valve
 
 EXACT_VALVE = default_valve().exact()

@@ -17,9 +17,9 @@ from valve_sim.files.json_text import plain
 from valve_sim.identification.diagnosis.recording_state import state_of_recording
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.reporting.diagnosis import diagnosis_document
+from valve_sim.identification.reporting.diagnosis_document import diagnosis_document
 from valve_sim.identification.reporting.page import write_page
-from valve_sim.identification.reporting.recording_state import recording_document
+from valve_sim.identification.reporting.recording_document import recording_document
 from valve_sim.model import ParameterError
 from valve_sim.traces import Trace
 

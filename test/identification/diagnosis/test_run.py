@@ -12,8 +12,8 @@ from identification.recordings import recorded
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
 from valve_sim.identification.fit.intervals import Unbounded
 from valve_sim.identification.reporting.claims import recording_advice
-from valve_sim.identification.reporting.diagnosis import diagnosis_document
-from valve_sim.identification.reporting.recording_state import UNTOLD
+from valve_sim.identification.reporting.diagnosis_document import diagnosis_document
+from valve_sim.identification.reporting.recording_document import UNTOLD
 from valve_sim.model import CATALOGUE, Tolerances, Valve
 from valve_sim.model.tolerances import SensorTolerances
 from valve_sim.traces import Trace

@@ -15,7 +15,7 @@ from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose, diagnose_plant
 from valve_sim.identification.plants.protocol import Array, Channel, EffectChoice, ForceMap, Nuisance, Role
 from valve_sim.identification.reporting.claims import recording_advice, summarise
-from valve_sim.identification.reporting.diagnosis import diagnosis_document
+from valve_sim.identification.reporting.diagnosis_document import diagnosis_document
 from valve_sim.model import Drive, Parameter
 from valve_sim.model.effects import basis
 from valve_sim.traces import Signal

@@ -22,7 +22,7 @@ from valve_sim.identification.fit.problem import Problem
 from valve_sim.identification.fit.search import Search
 from valve_sim.identification.plants.protocol import Array, EffectChoice, Nuisance
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.reporting.diagnosis import diagnosis_document
+from valve_sim.identification.reporting.diagnosis_document import diagnosis_document
 from valve_sim.model import Parameter, Valve
 
 SIGMA = 0.02 * float(CAMPAIGN_VALVE["coil_time_constant"])  # type: ignore[arg-type]

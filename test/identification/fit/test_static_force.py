@@ -10,8 +10,8 @@ import pytest
 from valve_sim.files.parameter_files import default_valve, load_valve, save_valve
 from valve_sim.files.tables import TableError
 from valve_sim.identification.fit.static_force import BeginsLate, StartOfMotion, fit_static_force
-from valve_sim.identification.reporting.findings import remarks
-from valve_sim.identification.reporting.identification import static_force_document
+from valve_sim.identification.reporting.finding_sentences import remarks
+from valve_sim.identification.reporting.identification_document import static_force_document
 from valve_sim.model import Tolerances, ValveError
 
 TRUTH = np.array([3.0336, 17.096e3, -30.931e6, 24.026e9])

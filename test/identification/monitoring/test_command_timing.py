@@ -26,7 +26,7 @@ from valve_sim.identification.monitoring.findings import (
 from valve_sim.identification.monitoring.segmenter import CONFIRMED, StrokeSegmenter
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
-from valve_sim.identification.reporting.monitoring import finding_words, remark_words
+from valve_sim.identification.reporting.monitor_messages import finding_words, remark_words
 
 EXACT_VALVE = default_valve().exact()
 

@@ -19,7 +19,7 @@ from valve_sim.identification.monitoring.memory import load_commissioning, save_
 from valve_sim.identification.monitoring.segmenter import ALONE, StrokeSegmenter
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
-from valve_sim.identification.reporting.monitoring import stroke_json
+from valve_sim.identification.reporting.monitor_messages import stroke_json
 
 BUILD = Build(eddy_resistance=40.0)
 VALVE = declared(BUILD)

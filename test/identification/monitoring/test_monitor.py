@@ -18,7 +18,7 @@ from valve_sim.identification.monitoring.findings import DidNotOpen, StrokeState
 from valve_sim.identification.monitoring.segmenter import LEAD, StrokeSegmenter
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
-from valve_sim.identification.reporting.monitoring import finding_words, stroke_json
+from valve_sim.identification.reporting.monitor_messages import finding_words, stroke_json
 
 EXACT_VALVE = default_valve().exact()
 

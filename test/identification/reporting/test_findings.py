@@ -25,7 +25,7 @@ from valve_sim.identification.fit.static_force import (
     StartOfMotion,
     StaticFinding,
 )
-from valve_sim.identification.reporting.findings import remarks
+from valve_sim.identification.reporting.finding_sentences import remarks
 from valve_sim.identification.reporting.values import interval_json, remark_on
 
 NEVER = Opening(9.0, math.nan, math.nan)

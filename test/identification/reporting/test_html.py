@@ -19,7 +19,7 @@ from valve_sim.files.parameter_files import load_valve
 from valve_sim.identification.diagnosis.run import Diagnosis
 from valve_sim.identification.reporting import strokes as curves
 from valve_sim.identification.reporting.claims import headline, summarise
-from valve_sim.identification.reporting.diagnosis import SHOWN_STROKES, diagnosis_document
+from valve_sim.identification.reporting.diagnosis_document import SHOWN_STROKES, diagnosis_document
 from valve_sim.identification.reporting.files import write_diagnosis
 from valve_sim.identification.reporting.page import write_page
 from valve_sim.identification.reporting.record_next import STROKE_LEVELS
@@ -54,6 +54,7 @@ def test_the_page_says_what_was_found(diagnosis: Diagnosis, page: Path) -> None:
     values = [part for cell in re.findall(r'data-label="values">([^<]*)<', text) for part in cell.split("; ") if part]
     assert values
     assert [part for part in values if not re.match(r"[a-z0-9 ]+ (−?[0-9]|∞|not determined)", part)] == []
+    assert '<tr class="chosen"><td>Coulomb friction <code' in text
     assert all(name in text for name in diagnosis.sources)
     assert "valve-sim diagnose strokes.mcap" in text
 

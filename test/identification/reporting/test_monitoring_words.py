@@ -19,7 +19,7 @@ from valve_sim.identification.monitoring.findings import (
     TimingTooUncertain,
     WaitsForPressure,
 )
-from valve_sim.identification.reporting.monitoring import finding_json, finding_words, remark_words, told_finding
+from valve_sim.identification.reporting.monitor_messages import finding_json, finding_words, remark_words, told_finding
 
 SENTENCES: list[tuple[Remark, str]] = [
     (DidNotOpen(20e-6), "the valve did not open: the pilot plunger moved 0.020 mm only"),

@@ -24,7 +24,7 @@ from valve_sim.identification.reporting.claims import (
     rounding_words,
     summarise,
 )
-from valve_sim.identification.reporting.diagnosis import diagnosis_document
+from valve_sim.identification.reporting.diagnosis_document import diagnosis_document
 from valve_sim.identification.reporting.document import Words
 from valve_sim.identification.reporting.units import amount, gain_words, limits, measured, percent, quantity
 from valve_sim.identification.reporting.values import amount_words, declared_section, summary_words

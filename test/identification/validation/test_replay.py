@@ -10,7 +10,7 @@ from plants.recording import Profile, Recorder, three_strokes
 from identification.recordings import recorded
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.run import diagnose
-from valve_sim.identification.reporting.validation import validation_document
+from valve_sim.identification.reporting.validation_document import validation_document
 from valve_sim.identification.validation.replay import Validation, validate
 from valve_sim.model import EXACT, Tolerances, ValveError
 from valve_sim.traces import Trace, events_from_sensors

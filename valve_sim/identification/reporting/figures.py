@@ -19,7 +19,7 @@ from valve_sim.files.whole_files import atomic_write
 from valve_sim.identification.diagnosis.outcome import Diagnosis
 from valve_sim.identification.reporting import document as doc
 from valve_sim.identification.reporting.claims import headline
-from valve_sim.identification.reporting.diagnosis import force_plots, stroke_plots
+from valve_sim.identification.reporting.diagnosis_document import force_plots, stroke_plots
 from valve_sim.identification.reporting.document import Array, Line, Panel, Plot
 from valve_sim.identification.reporting.units import percent
 from valve_sim.model import Drive, Phase, Response, Valve, ValveError, published_times

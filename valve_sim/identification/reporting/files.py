@@ -13,8 +13,8 @@ from valve_sim.identification.diagnosis.identify import Identification
 from valve_sim.identification.diagnosis.outcome import Diagnosis
 from valve_sim.identification.plants.own import OwnPlant
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.reporting.diagnosis import diagnosis_document
-from valve_sim.identification.reporting.identification import identification_document
+from valve_sim.identification.reporting.diagnosis_document import diagnosis_document
+from valve_sim.identification.reporting.identification_document import identification_document
 from valve_sim.identification.reporting.page import write_page
 from valve_sim.identification.reporting.plant_file import changed_plant, corrected_plant, save_plant
 from valve_sim.identification.reporting.record_next import write_record_next

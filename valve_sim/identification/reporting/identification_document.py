@@ -23,8 +23,8 @@ from valve_sim.identification.reporting.document import (
     Table,
     TableRow,
 )
-from valve_sim.identification.reporting.findings import remarks
-from valve_sim.identification.reporting.recording_state import recording_sections
+from valve_sim.identification.reporting.finding_sentences import remarks
+from valve_sim.identification.reporting.recording_document import recording_sections
 from valve_sim.identification.reporting.units import in_unit, limits, measured, quantity, three_digits
 from valve_sim.identification.reporting.values import declared_section, intervals_json, remark_on
 from valve_sim.model import DECLARED

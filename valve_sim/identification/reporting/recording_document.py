@@ -22,7 +22,7 @@ from valve_sim.identification.reporting.document import (
     TableRow,
     Words,
 )
-from valve_sim.identification.reporting.findings import remarks
+from valve_sim.identification.reporting.finding_sentences import remarks
 from valve_sim.identification.reporting.units import percent, quantity, three_digits
 
 UNITS: Final[Mapping[str, tuple[float, str, str]]] = {
