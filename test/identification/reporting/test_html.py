@@ -54,6 +54,7 @@ def test_the_page_says_what_was_found(diagnosis: Diagnosis, page: Path) -> None:
     values = [part for cell in re.findall(r'data-label="values">([^<]*)<', text) for part in cell.split("; ") if part]
     assert values
     assert [part for part in values if not re.match(r"[a-z0-9 ]+ (−?[0-9]|∞|not determined)", part)] == []
+    assert '<tr class="chosen"><td>Coulomb friction <code' in text
     assert all(name in text for name in diagnosis.sources)
     assert "valve-sim diagnose strokes.mcap" in text
 

@@ -6,7 +6,7 @@ import functools
 import math
 import shlex
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Final
 
@@ -108,6 +108,12 @@ def _response(diagnosis: Diagnosis) -> Channel:
     return diagnosis.plant.channels[primary_channels(diagnosis.plant)[0]]
 
 
+def _in_unit_of(diagnosis: Diagnosis) -> Callable[[float], str]:
+    """Tells an error of the response in the unit in which people read it; – where it is not known."""
+    scale, unit = _response(diagnosis).readable
+    return lambda error: f"{three_digits(scale * error)} {unit}" if math.isfinite(error) else "–"
+
+
 def _verdict(diagnosis: Diagnosis) -> doc.Chapter:
     """The verdict beside the headline, and what the errors come to."""
     verdict, before, after = diagnosis.verdict, diagnosis.before, diagnosis.after
@@ -202,9 +208,7 @@ def _before_and_after(diagnosis: Diagnosis) -> doc.Chapter:
     unseen = claims.unseen_noise_words(diagnosis)
     states = (before, after) if verdict.is_corrected else (before,)
 
-    def number(size: float) -> str:
-        return _number(scale * size, unit)
-
+    number = _in_unit_of(diagnosis)
     lines = {
         "rms error, fitted data": [number(state.train_rmse) for state in states],
         "rms error, held-out data": [number(state.holdout_rmse) for state in states],
@@ -347,7 +351,12 @@ def _tried(diagnosis: Diagnosis) -> doc.Chapter:
     """The sets that were fitted, how probable each effect is, and what would have been named."""
     plant, limits = diagnosis.plant, diagnosis.detection_limits
     head = ("what is missing", "probability", "beside something unnamed", "ln evidence", "rms, fitted", "rms, held out")
-    rows = [_declared_row(diagnosis), *(_candidate_row(candidate, diagnosis) for candidate in diagnosis.candidates)]
+    verdict, number = diagnosis.verdict, _in_unit_of(diagnosis)
+    errors = (number(diagnosis.before.train_rmse), number(diagnosis.before.holdout_rmse))
+    share = percent(verdict.probability) if verdict.kind == "none" else "–"
+    nothing = ("nothing: the declared model, refitted", share, "–", "0", *errors, "")
+    rows = [doc.TableRow(nothing, is_marked=verdict.kind == "none")]
+    rows += [_candidate_row(candidate, diagnosis) for candidate in diagnosis.candidates]
     tried = doc.Table((*head, "values"), rows, SHOWN_CANDIDATES, is_sorted_on_click=True, on="page")
     ordered = sorted(diagnosis.inclusion.items(), key=lambda entry: -entry[1])
     likely = [
@@ -376,39 +385,21 @@ def _tried(diagnosis: Diagnosis) -> doc.Chapter:
     )
 
 
-def _declared_row(diagnosis: Diagnosis) -> doc.TableRow:
-    verdict, before, (scale, unit) = diagnosis.verdict, diagnosis.before, _response(diagnosis).readable
-    errors = (_number(scale * size, unit) for size in (before.train_rmse, before.holdout_rmse))
-    probability = percent(verdict.probability) if verdict.kind == "none" else "–"
-    title = "nothing: the declared model, refitted"
-    return doc.TableRow((title, probability, "–", "0", *errors, ""), is_marked=verdict.kind == "none")
-
-
 def _candidate_row(candidate: Candidate, diagnosis: Diagnosis) -> doc.TableRow:
-    plant, (scale, unit) = diagnosis.plant, _response(diagnosis).readable
-    chosen = [plant.effects[effect] for effect in candidate.effects if effect in plant.effects]
-    freed = {name for effect in chosen for name in effect.free_names()}
+    plant, effects, number = diagnosis.plant, set(candidate.effects), _in_unit_of(diagnosis)
+    freed = {name for effect in effects & plant.effects.keys() for name in plant.effects[effect].free_names()}
     # By name: a description, such as "C in −C v |v|", does not fit beside a number.
     told = [
         f"{_short_name(name)} {_value_words(plant, name, interval.value)}"
         for name, interval in candidate.intervals.items()
         if ("." in name or name in freed) and not name.startswith("force_map.")
     ]
-    is_chosen = set(candidate.effects) == set(diagnosis.verdict.effects)
-    return doc.TableRow(
-        (
-            titles_of(candidate.effects) + (" with errors of the commands' stamps" if candidate.timing else ""),
-            percent(candidate.probability),
-            percent(candidate.unnamed),
-            gain_words(-0.5 * candidate.delta_bic),
-            _number(scale * candidate.train_rmse, unit),
-            _number(scale * candidate.holdout_rmse, unit),
-            "; ".join(told),
-        ),
-        " + ".join(candidate.effects),
-        # With and without errors of the stamps are two candidates.
-        is_marked=is_chosen and candidate.train_rmse == diagnosis.after.train_rmse,
-    )
+    shares = (percent(candidate.probability), percent(candidate.unnamed), gain_words(-0.5 * candidate.delta_bic))
+    errors = (number(candidate.train_rmse), number(candidate.holdout_rmse))
+    title = titles_of(candidate.effects) + (" with errors of the commands' stamps" if candidate.timing else "")
+    is_chosen = diagnosis.verdict.is_corrected and effects == set(diagnosis.verdict.effects)
+    cells = (title, *shares, *errors, "; ".join(told))
+    return doc.TableRow(cells, " + ".join(candidate.effects), is_marked=is_chosen)
 
 
 def _candidate_json(candidate: Candidate, diagnosis: Diagnosis) -> dict[str, Any]:
@@ -483,7 +474,3 @@ def _made(diagnosis: Diagnosis, provenance: str) -> doc.Chapter:
     return doc.Chapter(
         "How this was made", [doc.Table(("", ""), [doc.TableRow(row) for row in rows if row[1]])], on="page"
     )
-
-
-def _number(value: float, unit: str) -> str:
-    return f"{three_digits(value)} {unit}" if math.isfinite(value) else "–"

@@ -167,7 +167,6 @@ def compiled(text: str, effort: int = AS_A_WHOLE) -> bytes:
     module.verify()
     if effort == AS_A_WHOLE:
         options = llvm.create_pipeline_tuning_options(speed_level=1)
-        options.loop_vectorization = options.loop_interleaving = False  # loops are short
         options.inlining_threshold = INLINED
         builder = llvm.create_pass_builder(machine, options)
         builder.getModulePassManager().run(module, builder)
