@@ -78,7 +78,7 @@ def test_a_damping_that_changes_steadily_is_told_as_a_trend(seed: int, trend: fl
     if not trend:
         assert told.detail == "damping"
         return
-    (words,) = re.findall(r"; main damping (grows|falls) by (\d+) % from the first stroke to the last$", told.detail)
+    (words,) = re.findall(r"; main damping (grows|falls) over the strokes by (\d+) %$", told.detail)
     assert words[0] == ("grows" if trend > 0.0 else "falls")
     assert float(words[1]) == pytest.approx(100.0 * abs(trend), abs=8.0)
 

@@ -7,7 +7,7 @@ of its source, are numbers of the machine with the same kind of prior. The sizes
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -18,7 +18,7 @@ from valve_sim.identification.fit.errors.error import Mode, RecordingError, Seen
 from valve_sim.identification.fit.errors.hum import HUM
 from valve_sim.identification.fit.priors import Normal
 from valve_sim.identification.fit.unknown import DIFFERENCE, Group, Law, Unknown, known
-from valve_sim.identification.plants.protocol import Array, Channel, HasSensors, Plant, Sensor
+from valve_sim.identification.plants.protocol import Array, Changing, Channel, HasSensors, Nuisance, Plant, Sensor
 
 BY_NAME: Final[Mapping[str, RecordingError]] = {error.name: error for error in ERRORS}
 
@@ -33,6 +33,7 @@ class Columns:
         first: by the index of a channel, the number of its first column.
         modes: of the mounts of the sensors, by channel.
         spans: by the index of a channel, the range of its sensor, in the channel's unit.
+        changing: effects that differ from stroke to stroke.
     """
 
     unknowns: tuple[Unknown, ...] = ()
@@ -41,6 +42,7 @@ class Columns:
     first: Mapping[int, int] = field(default_factory=dict)
     modes: Mapping[int, tuple[Mode, ...]] = field(default_factory=dict)
     spans: Mapping[int, float] = field(default_factory=dict)
+    changing: tuple[str, ...] = ()
 
     @property
     def groups(self) -> dict[str, Group]:
@@ -83,12 +85,14 @@ def seen_by(sensor: Sensor, channel: Channel, shown: Array, modes: tuple[Mode, .
     return Seen(channel.times, shown, sensor.span, knots, sensor.contacts, modes, sensor.low)
 
 
-def columns_of(plant: Plant, values: Mapping[str, float], modes: Mapping[int, tuple[Mode, ...]]) -> Columns:
+def columns_of(
+    plant: Plant, values: Mapping[str, float], modes: Mapping[int, tuple[Mode, ...]], changing: tuple[str, ...] = ()
+) -> Columns:
     """The errors that the recordings of a plant may have.
 
     Args:
         plant: the machine and its data. values: by which it is simulated, for columns of what is shown.
-        modes: of the mounts of its sensors, by channel.
+        modes: of the mounts of its sensors, by channel. changing: effects that differ from stroke to stroke.
 
     Raises:
         SimulationError: the machine cannot be simulated with these values.
@@ -123,8 +127,19 @@ def columns_of(plant: Plant, values: Mapping[str, float], modes: Mapping[int, tu
                 for number in range(own.shape[1])
             ]  # fmt: skip
         samples[index] = np.hstack(parts) if parts else np.empty((len(channel.times), 0))
-    varying = tuple(known(own, _group(own.group, BY_NAME[own.error], own.sigma)) for own in plant.varying)
-    return Columns(tuple(unknowns), varying, samples, first, dict(modes), {i: own.span for i, own in sensors.items()})
+    varying = [*plant.varying, *changes_of(plant, changing)]
+    spans = {index: own.span for index, own in sensors.items()}
+    return Columns(tuple(unknowns), varying_unknowns(varying), samples, first, dict(modes), spans, changing)
+
+
+def changes_of(plant: Plant, effects: Iterable[str]) -> list[Nuisance]:
+    """How much some effects differ from stroke to stroke; none where a plant does not say."""
+    return [own for effect in effects for own in plant.changing(effect)] if isinstance(plant, Changing) else []
+
+
+def varying_unknowns(varying: Sequence[Nuisance]) -> tuple[Unknown, ...]:
+    """What acts on the machine, with the groups whose sizes are learned."""
+    return tuple(known(own, _group(own.group, BY_NAME[own.error], own.sigma)) for own in varying)
 
 
 def _group(key: int | str, error: RecordingError, scale: float, *, reads_at_rest: bool = False) -> Group:

@@ -18,7 +18,8 @@ from typing import Final
 
 import numpy as np
 
-from valve_sim.identification.fit.columns import Columns, columns_of, known_name
+from valve_sim.identification.fit.changes import changes_in
+from valve_sim.identification.fit.columns import Columns, changes_of, columns_of, known_name
 from valve_sim.identification.fit.descent import FIRST_DAMPING, MOST, Beside, Descended, descend
 from valve_sim.identification.fit.errors.error import Mode
 from valve_sim.identification.fit.gaussian import Gaussian, Spread
@@ -30,8 +31,9 @@ from valve_sim.identification.fit.process import SMALLEST, Process
 from valve_sim.identification.fit.recordings import sizes_at_rest
 from valve_sim.identification.fit.result import Fit
 from valve_sim.identification.fit.ringing import WORTH, ringing_modes
-from valve_sim.identification.fit.unknown import GONE, Group, Hypothesis, curve, unknowns_of
+from valve_sim.identification.fit.unknown import GONE, Group, Hypothesis, Unknown, curve, unknowns_of
 from valve_sim.identification.plants.protocol import ForceMap
+from valve_sim.identification.plants.variation import VARIATION, varies_in
 from valve_sim.model import SimulationError
 
 HELD: Final = 0.3
@@ -47,6 +49,8 @@ SETTLED: Final = 0.2
 NEARLY: Final = 3.0
 """Difference in ln p by which a model beside something unnamed may be less probable than without, and be looked at
 twice."""
+FEWEST_STROKES: Final = 4
+"""Of which it is asked whether an effect changes over them."""
 LINEAR: Final = 0.4
 """τ up to which something unnamed changes fits so little that one linear step is exact to 0.3 in ln p."""
 SPLINES: Final = 24
@@ -96,6 +100,7 @@ class Fitter:
 
     Attributes:
         problem: with the errors of its recordings as columns. sizes: of the groups of errors, by name.
+        changing: effects that differ from stroke to stroke.
         hypotheses, curves: by name. base: the declared model, when it has been fitted.
     """
 
@@ -108,7 +113,7 @@ class Fitter:
         self._held, self._reads = dict(held or {}), reads_at_rest
         self.hypotheses: dict[str, Hypothesis] = dict(self.unknowns.hypotheses)
         self.curves = {own.name: own for own in (curve(one, _force_of(problem), SPLINES) for one in plant.force_maps)}
-        self.problem = problem
+        self.problem, self.changing = problem, tuple[str, ...]()
         self.use(self.columns_with({}, {}))
         self.sizes = {name: self._usual(group) for name, group in self.groups.items()}
         self.base: Tried | None = None
@@ -156,7 +161,8 @@ class Fitter:
         frees |= {own.name: own for one in chosen for own in one.frees}
         known = [own for own in self.unknowns.known if not {own.name, *own.replaces} & frees.keys()]
         columns = self.problem.columns
-        local = [] if is_bare else [*columns.varying, *self.unknowns.stamps]
+        varying = [own for own in columns.varying if not self.changing or _acts_on(own, frees)]
+        local = [] if is_bare else [*varying, *self.unknowns.stamps]
         linear = columns.unknowns if has_columns else ()
         fixed = {name: value for one in chosen for name, value in one.held.items()} | dict(held or {})
         errors = [own for own in (*local, *linear) if own.is_there(self.sizes)]
@@ -413,7 +419,24 @@ class Fitter:
         """The errors of the recordings beside a machine of these values, with modes of its mounts."""
         if self.problem.is_long:
             return Columns()
-        return columns_of(self.problem.plant, values, modes).held_at(self._held)
+        return columns_of(self.problem.plant, values, modes, self.changing).held_at(self._held)
+
+    def with_change(self, names: Set, fit: Descended, effect: str) -> Descended | None:
+        """A fit of a set again, an effect of it differing from stroke to stroke; None where that cannot be."""
+        strokes = {own.during for own in changes_of(self.problem.plant, (effect,))}
+        if len(strokes) < FEWEST_STROKES or effect in self.changing:
+            return None
+        self.changing += (effect,)
+        return self.learn(names, fit)
+
+    def is_orderly(self, tried: Tried) -> bool:
+        """Whether an effect that differs from stroke to stroke follows them: free sizes would imitate too much."""
+        sizes = tried.fit.gaussian.with_best_sizes(self.learned).sizes
+        return any(
+            changes_in(tried.result, group, sizes[name])
+            for name, group in self.groups.items()
+            if group.is_change and name in sizes
+        )
 
     def _is_worth(self, after: Descended, before: Descended) -> bool:
         return self._with_sizes(after) > self._with_sizes(before) + WORTH
@@ -461,6 +484,12 @@ class Fitter:
             if change < HELD:
                 break
         return fit
+
+
+def _acts_on(own: Unknown, frees: Mapping[str, Unknown]) -> bool:
+    """Whether what varies is there: a number of the machine, or of an effect that is among those that are freed."""
+    what = varies_in(own.name) if own.name.startswith(VARIATION) else ""
+    return "/" not in what or what.replace("/", ".") in frees
 
 
 def _may_be_claimed(own: Hypothesis, values: Mapping[str, float]) -> bool:

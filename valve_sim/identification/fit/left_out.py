@@ -2,7 +2,8 @@
 
 Without a group of strokes the data's products lack those of its rows, so that each group costs two factorisations and
 no simulation. The machine, scale and bend of a sensor, the supply and what varies of the machine come from the other
-strokes; of those that are left out only clock, stamps, drift and hum are estimated anew.
+strokes; of those that are left out only clock, stamps, drift and hum are estimated anew, and by how much an effect
+differs in them that changes from stroke to stroke.
 """
 
 from __future__ import annotations
@@ -166,11 +167,11 @@ def _moving_strokes(problem: Problem) -> dict[int, Stroke]:
 
 
 def is_own(model: Model) -> NDArray[np.bool_]:
-    """(k + q,) what is estimated of the strokes that are predicted: their clock, stamps, drift and hum."""
-    return np.array(
-        [not one.of_machine and not (one.group and one.group.error in KEPT_ERRORS) for one in model.unknowns],
-        dtype=bool,
-    )
+    """(k + q,) what is estimated of strokes that are predicted: clock, stamps, drift, hum, and effects that change."""
+    kept = [own.group is not None and own.group.error in KEPT_ERRORS for own in model.unknowns]
+    changes = [own.group is not None and own.group.is_change for own in model.unknowns]
+    of_machine = [own.of_machine for own in model.unknowns]
+    return np.asarray(~np.array(of_machine, dtype=bool) & (~np.array(kept, dtype=bool) | np.array(changes, dtype=bool)))
 
 
 def left_out(gaussian: Gaussian, parts: Sequence[Part]) -> LeftOut:

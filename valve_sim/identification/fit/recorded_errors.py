@@ -13,16 +13,18 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp, stdtr
+from scipy.special import logsumexp
 
+from valve_sim.identification.fit.changes import Change, changes_in
 from valve_sim.identification.fit.columns import BY_NAME
 from valve_sim.identification.fit.errors import ERRORS
 from valve_sim.identification.fit.gaussian import Gaussian
 from valve_sim.identification.fit.result import Fit
 from valve_sim.identification.fit.unknown import GONE, Group
+from valve_sim.identification.plants.effect_titles import inside_sentence, title_of
 from valve_sim.identification.plants.protocol import Array, Plant
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.plants.variation import VARIATION, stroke_of, varies_in
+from valve_sim.identification.plants.variation import VARIATION, stroke_of
 
 PICTURED: Final = 200
 """Points of a picture."""
@@ -34,12 +36,8 @@ EVEN: Final = 0.5
 """Probability from which an error is expected of further data."""
 TENTH: Final = 0.1
 """Of a standard error: the step of a difference quotient."""
-SEEN: Final = 0.5
-"""Share of its prior variance that is left of a deviation at most, for the data to have shown it."""
-FEWEST: Final = 5
-"""Strokes, of which a trend is told from chance."""
-CHANCE: Final = 1e-3
-"""Probability by chance of a line through deviations that are drawn for each stroke, below which it is a trend."""
+NOTHING: Final = 0.2
+"""Of its mean, below which what a number begins with is nothing: the change over it would be of any size."""
 STEADY: Final = "find what changes while it is recorded: it warms, settles or wears; record it again after a rest"
 
 
@@ -231,37 +229,33 @@ def _samples_of(group: Group, result: Fit, places: NDArray[np.intp]) -> Array:
 def _detail(group: Group, result: Fit) -> str:
     """The frequency of a mount, or what varies."""
     if isinstance(group.key, str):
-        return "" if group.error == "supply" else group.key.partition("[")[0].replace("_", " ")
+        return "" if group.error == "supply" else _what(group.key.partition("[")[0])
     modes = result.problem.columns.modes.get(group.key, ()) if group.error == "ringing" else ()
     return " and ".join(f"{mode.frequency:.0f} Hz" for mode in modes)
 
 
 def _with_trend(entry: RecordedError, result: Fit, group: Group) -> RecordedError:
-    """What varies from stroke to stroke, told as a trend where its deviations are no draws, but follow a line."""
+    """What varies from stroke to stroke, with how it changes where its deviations are no draws."""
     if group.error != VARIATION or not entry.is_likely:
         return entry
-    found: dict[str, list[tuple[int, float]]] = {}
-    for own in result.nuisances:
-        place = result.names.index(own.name)
-        if own.group == group.key and result.covariance[place, place] < SEEN * entry.size**2:
-            found.setdefault(varies_in(own.name), []).append((stroke_of(own.name), result.values[own.name]))
-    trends = []
-    for name, pairs in found.items():
-        strokes, deviations = np.array(pairs).T
-        if len(strokes) < FEWEST or np.ptp(deviations) <= 0.0:
-            continue
-        if _chance_of_line(strokes, deviations) < CHANCE:
-            first, last = np.polyval(np.polyfit(strokes, deviations, 1), strokes[[0, -1]]).tolist()
-            change, words = (last - first) / (1.0 + first), name.replace("_", " ")
-            way = "grows" if change > 0.0 else "falls"
-            trends.append(f"{words} {way} by {100.0 * abs(change):.0f} % from the first stroke to the last")
+    trends = [_in_words(name, change) for name, change in changes_in(result, group, entry.size).items()]
     return replace(entry, detail="; ".join((entry.detail, *trends)), what_to_do=STEADY) if trends else entry
 
 
-def _chance_of_line(x: Array, y: Array) -> float:
-    """The probability, by Student's t, of a correlation as large between (n,) draws that have none."""
-    correlation, free = float(np.corrcoef(x, y)[0, 1]), len(x) - 2
-    return 2.0 * float(stdtr(free, -abs(correlation) * math.sqrt(free / max(1.0 - correlation**2, 1e-300))))
+def _in_words(name: str, change: Change) -> str:
+    way, begins = "grows" if change.last > change.first else "falls", 1.0 + change.first
+    share = f"by {100.0 * abs(change.last - change.first) / max(begins, NOTHING):.0f} %"
+    if change.kind == "line":
+        return f"{_what(name)} {way} over the strokes {share if begins > NOTHING else 'from nothing'}"
+    if begins <= NOTHING:
+        return f"{_what(name)} begins with stroke {change.stroke + 1}"
+    return f"{_what(name)} {way} {share} with stroke {change.stroke + 1}"
+
+
+def _what(number: str) -> str:
+    """What varies, in words: a number of the machine, or an effect by its title."""
+    effect, slash, _ = number.partition("/")
+    return inside_sentence(title_of(effect)) if slash else number.replace("_", " ")
 
 
 def _pictured(entry: RecordedError, result: Fit, group: Group) -> RecordedError:

@@ -47,7 +47,8 @@ def columns_like(result: Fit, problem: Problem, machine: Mapping[str, float]) ->
     Raises:
         SimulationError: the machine cannot be simulated.
     """
-    return Columns() if problem.is_long else columns_of(problem.plant, machine, result.problem.columns.modes)
+    known = result.problem.columns
+    return Columns() if problem.is_long else columns_of(problem.plant, machine, known.modes, known.changing)
 
 
 def sizes_like(result: Fit, columns: Columns) -> dict[str, float]:

@@ -9,6 +9,7 @@
             its look-alikes; its members swapped
         stop where none is more probable than B, or where a smooth curve explains more than two names
         learn the errors again beside the best; where that explains more: fit again what may come near
+        of size 1, and where something is left: let an effect change from stroke to stroke
     fit what is near the best again beside a process, where something unnamed may act
     the force that has no name: beside what is near the best, and in place of all names
 
@@ -51,6 +52,8 @@ MOST_RIVALS: Final = 4
 """Sets of a size that are added to, the best among them."""
 WORTH_LEARNING: Final = 1.0
 """Gain in ln p by newly learned errors of the recordings, from which sets are fitted again with these."""
+CHANGES: Final = 5.0
+"""Gain in ln p from which an effect changes over the strokes: one in a hundred does, and it is no news otherwise."""
 WORTH_KEEPING: Final = 0.1
 """Smallest difference of the criterion by which a fit counts as better."""
 TRIAL: Final = 6
@@ -159,6 +162,8 @@ class Search:
                 base = self.best(size)
                 goes_on = base is not None and not self._is_led_by_curve(base) and self._extend(base, is_full=is_full)
                 self._learn_errors()
+                if size == 0 and base is not None and self.unnamed_beside(self.best(1) or base) > PROMISING:
+                    self._change_over_strokes()
                 self._beside_look_alikes(max(self.tried, key=self.log_weight))
                 if not goes_on:
                     break
@@ -363,6 +368,27 @@ class Search:
             known = self.tried[names] if names in self.tried else self.begun.pop(names)
             again = fitter.descended(fitter.model(names), known.values)
             self._keep(names, known if again is None else fitter.weighed(names, again))
+
+    def _change_over_strokes(self) -> None:
+        """Let the effect differ from stroke to stroke that then follows them, leaves nothing, and is most probable."""
+        fitter, alone = self.fitter, [names for names in self.tried if len(names) == 1]
+        most = max(map(self.log_weight, self.tried)) + CHANGES
+        before = fitter.changing, dict(fitter.sizes), self.problem.columns
+        best = None
+        for names in alone:
+            self._say(f"{words(names)} that changes over the strokes", self._done)
+            fit = fitter.with_change(names, self.tried[names].fit, names[0])
+            found = None if fit is None else fitter.weighed(names, fit)
+            if found is not None and fitter.is_orderly(found):
+                weight = self.log_weight_of(names, found)
+                if weight > most and self.rivals.unnamed_beside(names, found.evidence) < EVEN:
+                    best, most = (names, found, (fitter.changing, dict(fitter.sizes), self.problem.columns)), weight
+            fitter.changing, fitter.sizes = before[0], dict(before[1])
+            fitter.use(before[2])
+        if best is not None:
+            self.tried[best[0]] = best[1]
+            fitter.changing, fitter.sizes = best[2][:2]
+            fitter.use(best[2][2])
 
     # -- smooth curves -------------------------------------------------------------------------------------------------
 

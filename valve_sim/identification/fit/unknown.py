@@ -74,6 +74,11 @@ class Group:
         return f"{self.error}[{self.key}]"
 
     @property
+    def is_change(self) -> bool:
+        """Whether it is by how much an effect differs from stroke to stroke."""
+        return isinstance(self.key, str) and "/" in self.key
+
+    @property
     def is_learned(self) -> bool:
         """Whether the data say how large s is."""
         return self.law != "known" and not self.is_held

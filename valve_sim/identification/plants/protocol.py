@@ -449,6 +449,14 @@ class HasSensors(Protocol):
         """
 
 
+@runtime_checkable
+class Changing(Protocol):
+    """A plant whose effects may change from stroke to stroke: an optional member."""
+
+    def changing(self, effect: str) -> Sequence[Nuisance]:
+        """How much parameters of an effect differ in each stroke, as of `HasSensors.varying`; none where not known."""
+
+
 def varying_of(plant: Plant) -> Sequence[Nuisance]:
     """Errors of its recordings that act on the machine; of most plants there are none."""
     return plant.varying if isinstance(plant, HasSensors) else ()

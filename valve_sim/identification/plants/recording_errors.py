@@ -14,13 +14,13 @@ while the driver is on.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from valve_sim.identification.plants.protocol import Array, Nuisance
-from valve_sim.identification.plants.variation import VARIATION, variation, variation_name
+from valve_sim.identification.plants.variation import LARGEST, VARIATION, stroke_of, variation, varies_in
 from valve_sim.model import CATALOGUE, Drive, Valve
 from valve_sim.model.valve import ALWAYS
 from valve_sim.traces import Trace
@@ -48,10 +48,12 @@ class Varying(NamedTuple):
 
     Attributes:
         group: numbers of one group share a size. scale: of the half-normal prior of that size, relative.
+        bounds: of the relative deviation in a stroke.
     """
 
     group: str
     scale: float
+    bounds: tuple[float, float] = (-LARGEST, LARGEST)
 
 
 VARYING: Final[Mapping[str, Varying]] = {
@@ -62,7 +64,20 @@ VARYING: Final[Mapping[str, Varying]] = {
 }
 """Lubrication changes by some per cent from stroke to stroke, and seats and springs settle by less."""
 FIELDS: Final = (*VARYING, TIME_CONSTANT)
-"""Numbers of a valve that have a factor in each interval."""
+"""Numbers of a valve that have a factor in each interval, beside parameters of effects that change over the strokes."""
+CHANGES: Final = 0.5
+"""Scale of the size by which a parameter of an effect changes over the strokes, relative to its mean."""
+FROM_NOTHING: Final = (-1.0, 4.0)
+"""Bounds of that change: an effect may begin in a recording, and be five times its mean."""
+
+
+def changing(effect: str) -> dict[str, Varying]:
+    """What may change over the strokes of an effect, by `<effect>/<parameter>`: what switches it, where off is 0."""
+    return {
+        name: Varying(name, CHANGES, FROM_NOTHING)
+        for own in CATALOGUE[effect].parameters
+        if own.off == 0.0 and own.lower == 0.0 and (name := f"{effect}/{own.name}")
+    }
 
 
 def clock_offset(index: int, channels: Channels) -> Nuisance:
@@ -172,7 +187,7 @@ def is_of_recording(name: str) -> bool:
 
 
 def variations(
-    valve: Valve, trace: Trace, index: int, channels: tuple[int, ...], part_of: int | None = None
+    what: Mapping[str, Varying], trace: Trace, index: int, channels: tuple[int, ...], part_of: int | None = None
 ) -> list[Nuisance]:
     """How much each number that varies differs in each stroke.
 
@@ -180,7 +195,7 @@ def variations(
     of a measured voltage, whose steps are not the commands'.
 
     Args:
-        valve: as declared. trace: the recording. index, channels: of it.
+        what: varies, by the name of the number. trace: the recording. index, channels: of it.
         part_of: the recording that it was cut out of, whose strokes vary by as much; None: it is whole.
     """
     starts = stroke_starts(trace.drive)
@@ -192,11 +207,15 @@ def variations(
     for stroke, during in enumerate(itertools.pairwise(edges)):
         if not np.any((trace.sample_times >= during[0]) & (trace.sample_times < during[1])):
             continue
-        for name, own in VARYING.items():
-            if _is_used(valve, name):
-                at = index, stroke, name
-                found.append(variation(at, own.scale, f"{own.group}[{recording}]", channels, during))
+        for name, own in what.items():
+            group = f"{own.group}[{recording}]"
+            found.append(variation((index, stroke, name), own.scale, group, channels, during, own.bounds))
     return found
+
+
+def varying_numbers(valve: Valve) -> dict[str, Varying]:
+    """Declared numbers of a valve that vary from stroke to stroke."""
+    return {name: own for name, own in VARYING.items() if _is_used(valve, name)}
 
 
 def _is_used(valve: Valve, name: str) -> bool:
@@ -231,35 +250,43 @@ class IntervalFactors:
         self._strokes = np.concatenate([[-1], strokes])
         self._is_on = np.concatenate([[False], drive.volts != 0.0])
         self._supply, self._resistance = f"{SUPPLY}[{index}]", valve.parameters.coil_resistance
-        self._places = {
-            variation_name(index, stroke, name): (self._strokes == stroke, FIELDS.index(name))
-            for stroke in range(int(self._strokes.max(initial=-1)) + 1)
-            for name in VARYING
-        }
+        self._begins = f"{VARIATION}[{index},"
+
+    def fields(self, values: Mapping[str, float]) -> tuple[str, ...]:
+        """The numbers that have factors; argument as of `of`."""
+        return tuple(dict.fromkeys((*FIELDS, *(varies_in(name) for name in self._own(values)))))
 
     def of(self, values: Mapping[str, float]) -> Array | None:
-        """(c + 1, f) factors of `FIELDS` before the first command and after each; None where nothing differs.
+        """(c + 1, f) factors of `fields` before the first command and after each; None where nothing differs.
 
         Args:
             values: of nuisances, by name.
         """
-        own = [(place, values[name]) for name, place in self._places.items() if name in values]
+        own = self._own(values)
         if not own and self._supply not in values:
             return None
-        found = np.ones((len(self._strokes), len(FIELDS)))
-        for (during, field), deviation in own:
-            found[during, field] = 1.0 + deviation
+        fields = self.fields(values)
+        found = np.ones((len(self._strokes), len(fields)))
+        for name in own:
+            found[self._strokes == stroke_of(name), fields.index(varies_in(name))] = 1.0 + values[name]
         sag = values.get(self._supply, 0.0) / self._resistance
         found[self._is_on, FIELDS.index(TIME_CONSTANT)] = 1.0 / (1.0 + sag)
         return found
 
+    def _own(self, values: Mapping[str, float]) -> list[str]:
+        return [name for name in values if name.startswith(self._begins)]
 
-def places_of_fields(valve: Valve) -> list[list[int]]:
-    """Of each of `FIELDS` where it is among the numbers of a valve: the declared one, and what effects add to it."""
+
+def places_of_fields(valve: Valve, fields: Sequence[str]) -> list[list[int]]:
+    """Of each field where it is among the numbers of a valve: the declared one, and what effects add to it.
+
+    Of an effect that a valve does not have it is nowhere.
+    """
     names = valve.names
     added = [
         (f"{effect}.{parameter}", number)
         for effect in dict.fromkeys((*valve.effects, *ALWAYS))
         for parameter, number in CATALOGUE[effect].adds_to.items()
     ]
-    return [[names.index(field), *(names.index(name) for name, to in added if to == field)] for field in FIELDS]
+    of_fields = [{field.replace("/", "."), *(name for name, to in added if to == field)} for field in fields]
+    return [[names.index(name) for name in names if name in own] for own in of_fields]

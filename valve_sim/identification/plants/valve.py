@@ -31,6 +31,7 @@ from valve_sim.identification.plants.protocol import (
 )
 from valve_sim.identification.plants.recording_errors import (
     IntervalFactors,
+    changing,
     clock_offset,
     clock_rate,
     drive_with,
@@ -39,6 +40,7 @@ from valve_sim.identification.plants.recording_errors import (
     stamp_errors,
     supply_errors,
     variations,
+    varying_numbers,
     zero_with,
 )
 from valve_sim.identification.plants.stroke_choice import Kind, stroke_kinds
@@ -332,10 +334,20 @@ class ValvePlant:
             nuisance
             for index, trace in enumerate(self.traces)
             for found in (
-                variations(self.valve, trace, index, self._channels_of(index), part_of),
+                variations(varying_numbers(self.valve), trace, index, self._channels_of(index), part_of),
                 () if self._is_watched else supply_errors(trace, index, self._channels_of(index)),
             )
             for nuisance in found
+        )
+
+    def changing(self, effect: str) -> Sequence[Nuisance]:
+        """How much an effect differs in each stroke; none of a valve with gas, or of a declared value."""
+        if self.valve.gas is not None or self._is_watched or effect not in CATALOGUE:
+            return ()
+        return tuple(
+            nuisance
+            for index, trace in enumerate(self.traces)
+            for nuisance in variations(changing(effect), trace, index, self._channels_of(index))
         )
 
     @functools.cached_property
@@ -393,7 +405,11 @@ class ValvePlant:
             if factors is None:
                 position, *others = predicted(valve, trace, drive, late)
             else:
-                run = whole_run(run_in_pieces(valve, trace, drive, late, intervals=Intervals(factors)))
+                run = whole_run(
+                    run_in_pieces(
+                        valve, trace, drive, late, intervals=Intervals(self._factors[index].fields(values), factors)
+                    )
+                )
                 position, others = run.positions, amperes(valve, trace, run.currents)
             positions = [averaged(trace, position) + zero_with(index, values)] if trace.has_positions else []
             shown.extend([*positions, *others])

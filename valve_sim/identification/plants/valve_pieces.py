@@ -79,11 +79,12 @@ class Intervals(NamedTuple):
     """What differs of a valve by interval between commands.
 
     Attributes:
-        factors: (c + 1, f) of `FIELDS`, before the first command and after each.
+        fields: names of f numbers. factors: (c + 1, f) of these, before the first command and after each.
         slopes: (k, c + 1, f) derivatives of these along k directions; None where no derivatives are asked for.
         numbers: (k, n) derivatives of the valve's numbers along the directions, or None.
     """
 
+    fields: Sequence[str]
     factors: Array
     slopes: Array | None = None
     numbers: Array | None = None
@@ -100,7 +101,7 @@ class Intervals(NamedTuple):
         """(n,) the numbers of a valve in an interval.
 
         Args:
-            own: (n,) its numbers, where nothing differs. places: of each of `FIELDS` among these.
+            own: (n,) its numbers, where nothing differs. places: of each field among these.
             interval: before the first command 0, and one more after each.
         """
         found = own.copy()
@@ -141,7 +142,7 @@ def run_in_pieces(
     ends = None if intervals is None else intervals.changes
     numbers = None
     if intervals is not None:
-        own, places = valve.numbers(), places_of_fields(valve)
+        own, places = valve.numbers(), places_of_fields(valve, intervals.fields)
         numbers = intervals.values(own, places, 0)
         if directions is not None:
             moved = intervals.moved(own, places, 0)

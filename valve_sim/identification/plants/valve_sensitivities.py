@@ -74,7 +74,7 @@ def sensitivities(
                 changed = differing[index].of(there) if any(map(is_of_recording, direction.slopes)) else None
                 if changed is not None:
                     by[row] = (changed - factors) / direction.step
-            intervals = Intervals(factors, by, slopes)
+            intervals = Intervals(differing[index].fields(values), factors, by, slopes)
             shown = whole_run(run_in_pieces(valve, trace, at.drive, at.lateness, along, intervals))
         if trace.has_positions:
             positions = averaged(trace, shown.of_positions)

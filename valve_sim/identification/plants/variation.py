@@ -52,17 +52,19 @@ def _parts(name: str) -> list[str]:
 
 
 def variation(
-    own: tuple[int, int, str], scale: float, group: str, channels: tuple[int, ...], during: tuple[float, float]
-) -> Nuisance:
+    own: tuple[int, int, str], scale: float, group: str, channels: tuple[int, ...], during: tuple[float, float],
+    bounds: tuple[float, float] = (-LARGEST, LARGEST),
+) -> Nuisance:  # fmt: skip
     """δ in one stroke.
 
     Args:
         own: recording, stroke, and what varies. scale: of the half-normal prior of its size.
-        group: what shares that size. channels, during: of the stroke.
+        group: what shares that size. channels, during: of the stroke. bounds: of δ.
     """
+    low, high = bounds
     return Nuisance(
-        variation_name(*own), scale, "–", channels, during, SMALL_SHARE, lower=-LARGEST, upper=LARGEST,
-        error=VARIATION, group=group,
+        variation_name(*own), scale, "–", channels, during, SMALL_SHARE, lower=low, upper=high, error=VARIATION,
+        group=group,
     )  # fmt: skip
 
 
