@@ -91,6 +91,16 @@ def test_headlines_have_no_names_of_code(diagnosis: Diagnosis, kind: str, probab
         assert title_of(name).lower() in words.lower()
 
 
+def test_what_acts_like_a_name_and_what_also_changed_are_told_apart(diagnosis: Diagnosis) -> None:
+    (grade,) = diagnosis.grades
+    also = [grade._replace(effect=name, word="possible") for name in ("stop_bounce", "coulomb_friction")]
+    like = grade._replace(effect="eddy_lag", word="acts_like")
+    partly = replace(diagnosis, verdict=replace(diagnosis.verdict, kind="partly"), grades=(like, *also))
+    told = headline(partly)
+    assert told.startswith("Corrected. The machine acts as if it had eddy currents: the error of unseen strokes falls")
+    assert told.endswith("Bounce and Coulomb friction also changed, and may stand for something else.")
+
+
 @pytest.mark.parametrize(("probability", "words"), [(1.0, "> 99 %"), (0.5, "50 %"), (0.0, "< 1 %")])
 def test_nothing_is_said_to_be_certain(probability: float, words: str) -> None:
     assert percent(probability) == words

@@ -103,7 +103,7 @@ def _partly(diagnosis: Diagnosis) -> str:
     rest = [grade.effect for grade in diagnosis.grades if grade.word == "possible"]
     if not like:
         return f"Corrected by {named(rest)}{error}. These names are not certain."
-    beside = f" {named(rest).capitalize()} also changed, and may stand for something else." if rest else ""
+    beside = f" {capitalised(named(rest))} also changed, and may stand for something else." if rest else ""
     return f"Corrected. The machine acts as if it had {named(like)}{error}.{beside}"
 
 
