@@ -59,8 +59,8 @@ def _entry(name: str, has_gas: bool) -> Any:
     return ctypes.CFUNCTYPE(*_SIGNATURES[name])(integrator(has_gas).address(name))
 
 
-OFTEN: Final = 1000
-"""Runs of a plan that are worth compiling it well: that takes as long as a thousand runs of some strokes save by it."""
+OFTEN: Final = 300
+"""Runs of a plan that are worth compiling it well: that takes as long as some hundred runs of some strokes save by it."""
 
 
 class Plan:
