@@ -60,7 +60,7 @@ def _entry(name: str, has_gas: bool) -> Any:
 
 
 OFTEN: Final = 300
-"""Runs of a plan that are worth compiling it well: that takes as long as some hundred runs of some strokes save by it."""
+"""Runs of a plan that are worth compiling it well: it takes as long as some hundred runs of some strokes save by it."""
 
 
 class Plan:
