@@ -208,10 +208,13 @@ def test_info_tells_the_state_of_a_recording(strokes: Path):
 
 @pytest.fixture(scope="module")
 def spoilt(strokes: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Strokes with three spikes, a code, a reading that is held for nine samples, and a range that ends too early."""
+    """Strokes with three spikes, a code, a reading that is held for nine samples, and a range that ends too early.
+
+    The third spike is in motion, where it is told from one only above six moves between samples.
+    """
     trace = read_trace(strokes)
     position = np.minimum(trace.pilot_position, 1.2e-3)
-    position[[40, 110, 1500]] += 60e-6
+    position[[40, 110, 1500]] += [60e-6, 60e-6, 200e-6]
     position[1300] = 32.767e-3
     position[1250:1259] = position[1250]
     bag = tmp_path_factory.mktemp("spoilt") / "spoilt.mcap"

@@ -161,7 +161,8 @@ def _begun(
     reads_at_rest = not held or shows_rest(plant)
     search = Search(problem.condensed(), progress, held, reads_at_rest=reads_at_rest)
     search.fit_declared()
-    if found := problem.moves_at_rest(search.tried[()].values) - least.keys():
+    # Noise that is told counts as it is told.
+    if found := problem.moves_at_rest(search.tried[()].values) - least.keys() - known.keys():
         return _begun(plant, holdout, progress, budget, given, restless | found)
 
     def again(noises: Mapping[str, Noise]) -> DiagnosisSession:
