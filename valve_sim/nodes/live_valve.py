@@ -8,6 +8,7 @@ from functools import partial
 from typing import Any, Final, NamedTuple
 
 from valve_sim.model import Event, EventKind, Phase, Reading, SimulationError, Stepper, Valve
+from valve_sim.model.core.plan import OFTEN
 from valve_sim.model.gas import GAS
 from valve_sim.nodes.live_machine import LiveMachine
 from valve_sim.nodes.topics import ENDS
@@ -135,7 +136,8 @@ class LiveValve(LiveMachine[Stepper]):
 
 
 def load_stepper(valve: Valve) -> None:
-    """Have every function at hand that a valve is stepped by."""
+    """Have every function at hand that a valve is stepped by, and its equations compiled well: it steps without end."""
+    valve.plan(runs=OFTEN)
     stepper = Stepper(valve)
     stepper.command(1e-3, valve.parameters.reference_voltage)
     stepper.set_valve(valve, 2e-3)

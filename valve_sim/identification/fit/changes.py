@@ -18,7 +18,7 @@ FEWEST: Final = 5
 CHANCE: Final = 1e-3
 """Probability by chance, of deviations that are drawn for each stroke, below which they follow the strokes."""
 SEEN: Final = 0.5
-"""Of the variance of the deviations, up to which an estimate shows one."""
+"""Share of its prior variance that is left of a deviation at most, for the data to have shown it."""
 
 
 class Change(NamedTuple):

@@ -18,7 +18,7 @@ from typing import Final
 
 import numpy as np
 
-from valve_sim.identification.fit.changes import changes_in
+from valve_sim.identification.fit.changes import FEWEST, changes_in
 from valve_sim.identification.fit.columns import Columns, changes_of, columns_of, known_name
 from valve_sim.identification.fit.descent import FIRST_DAMPING, MOST, Beside, Descended, descend
 from valve_sim.identification.fit.errors.error import Mode
@@ -33,7 +33,7 @@ from valve_sim.identification.fit.result import Fit
 from valve_sim.identification.fit.ringing import WORTH, ringing_modes
 from valve_sim.identification.fit.unknown import GONE, Group, Hypothesis, Unknown, curve, unknowns_of
 from valve_sim.identification.plants.protocol import ForceMap
-from valve_sim.identification.plants.variation import VARIATION, varies_in
+from valve_sim.identification.plants.variation import varies_in
 from valve_sim.model import SimulationError
 
 HELD: Final = 0.3
@@ -49,8 +49,6 @@ SETTLED: Final = 0.2
 NEARLY: Final = 3.0
 """Difference in ln p by which a model beside something unnamed may be less probable than without, and be looked at
 twice."""
-FEWEST_STROKES: Final = 4
-"""Of which it is asked whether an effect changes over them."""
 LINEAR: Final = 0.4
 """τ up to which something unnamed changes fits so little that one linear step is exact to 0.3 in ln p."""
 SPLINES: Final = 24
@@ -161,7 +159,7 @@ class Fitter:
         frees |= {own.name: own for one in chosen for own in one.frees}
         known = [own for own in self.unknowns.known if not {own.name, *own.replaces} & frees.keys()]
         columns = self.problem.columns
-        varying = [own for own in columns.varying if not self.changing or _acts_on(own, frees)]
+        varying = [own for own in columns.varying if _acts_on(own, frees)]
         local = [] if is_bare else [*varying, *self.unknowns.stamps]
         linear = columns.unknowns if has_columns else ()
         fixed = {name: value for one in chosen for name, value in one.held.items()} | dict(held or {})
@@ -424,7 +422,7 @@ class Fitter:
     def with_change(self, names: Set, fit: Descended, effect: str) -> Descended | None:
         """A fit of a set again, an effect of it differing from stroke to stroke; None where that cannot be."""
         strokes = {own.during for own in changes_of(self.problem.plant, (effect,))}
-        if len(strokes) < FEWEST_STROKES or effect in self.changing:
+        if len(strokes) < FEWEST or effect in self.changing:
             return None
         self.changing += (effect,)
         return self.learn(names, fit)
@@ -488,8 +486,8 @@ class Fitter:
 
 def _acts_on(own: Unknown, frees: Mapping[str, Unknown]) -> bool:
     """Whether what varies is there: a number of the machine, or of an effect that is among those that are freed."""
-    what = varies_in(own.name) if own.name.startswith(VARIATION) else ""
-    return "/" not in what or what.replace("/", ".") in frees
+    is_change = own.group is not None and own.group.is_change
+    return not is_change or varies_in(own.name).replace("/", ".") in frees
 
 
 def _may_be_claimed(own: Hypothesis, values: Mapping[str, float]) -> bool:

@@ -21,6 +21,7 @@ from valve_sim.identification.fit.gaussian import Gaussian
 from valve_sim.identification.fit.gram import gram
 from valve_sim.identification.fit.model import Model, Sums
 from valve_sim.identification.fit.problem import Mask, Problem
+from valve_sim.identification.fit.unknown import Group
 from valve_sim.identification.plants.hold_out import Condition, UnderConditions
 from valve_sim.identification.plants.protocol import Array, Plant, primary_channels
 from valve_sim.identification.plants.stroke_choice import SAME
@@ -168,10 +169,11 @@ def _moving_strokes(problem: Problem) -> dict[int, Stroke]:
 
 def is_own(model: Model) -> NDArray[np.bool_]:
     """(k + q,) what is estimated of strokes that are predicted: clock, stamps, drift, hum, and effects that change."""
-    kept = [own.group is not None and own.group.error in KEPT_ERRORS for own in model.unknowns]
-    changes = [own.group is not None and own.group.is_change for own in model.unknowns]
-    of_machine = [own.of_machine for own in model.unknowns]
-    return np.asarray(~np.array(of_machine, dtype=bool) & (~np.array(kept, dtype=bool) | np.array(changes, dtype=bool)))
+    return np.array([not own.of_machine and not _is_kept(own.group) for own in model.unknowns], dtype=bool)
+
+
+def _is_kept(group: Group | None) -> bool:
+    return group is not None and group.error in KEPT_ERRORS and not group.is_change
 
 
 def left_out(gaussian: Gaussian, parts: Sequence[Part]) -> LeftOut:

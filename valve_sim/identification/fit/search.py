@@ -52,8 +52,9 @@ MOST_RIVALS: Final = 4
 """Sets of a size that are added to, the best among them."""
 WORTH_LEARNING: Final = 1.0
 """Gain in ln p by newly learned errors of the recordings, from which sets are fitted again with these."""
-CHANGES: Final = 5.0
-"""Gain in ln p from which an effect changes over the strokes: one in a hundred does, and it is no news otherwise."""
+WORTH_A_CHANGE: Final = 5.0
+"""Gain in ln p over all other sets, from which an effect changes over the strokes: odds of one to a hundred and fifty
+before the data are asked."""
 WORTH_KEEPING: Final = 0.1
 """Smallest difference of the criterion by which a fit counts as better."""
 TRIAL: Final = 6
@@ -372,7 +373,7 @@ class Search:
     def _change_over_strokes(self) -> None:
         """Let the effect differ from stroke to stroke that then follows them, leaves nothing, and is most probable."""
         fitter, alone = self.fitter, [names for names in self.tried if len(names) == 1]
-        most = max(map(self.log_weight, self.tried)) + CHANGES
+        most = max(map(self.log_weight, self.tried)) + WORTH_A_CHANGE
         before = fitter.changing, dict(fitter.sizes), self.problem.columns
         best = None
         for names in alone:

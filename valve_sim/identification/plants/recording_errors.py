@@ -65,7 +65,7 @@ VARYING: Final[Mapping[str, Varying]] = {
 """Lubrication changes by some per cent from stroke to stroke, and seats and springs settle by less."""
 FIELDS: Final = (*VARYING, TIME_CONSTANT)
 """Numbers of a valve that have a factor in each interval, beside parameters of effects that change over the strokes."""
-CHANGES: Final = 0.5
+CHANGE_SCALE: Final = 0.5
 """Scale of the size by which a parameter of an effect changes over the strokes, relative to its mean."""
 FROM_NOTHING: Final = (-1.0, 4.0)
 """Bounds of that change: an effect may begin in a recording, and be five times its mean."""
@@ -74,7 +74,7 @@ FROM_NOTHING: Final = (-1.0, 4.0)
 def changing(effect: str) -> dict[str, Varying]:
     """What may change over the strokes of an effect, by `<effect>/<parameter>`: what switches it, where off is 0."""
     return {
-        name: Varying(name, CHANGES, FROM_NOTHING)
+        name: Varying(name, CHANGE_SCALE, FROM_NOTHING)
         for own in CATALOGUE[effect].parameters
         if own.off == 0.0 and own.lower == 0.0 and (name := f"{effect}/{own.name}")
     }
