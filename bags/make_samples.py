@@ -22,7 +22,7 @@ import numpy as np
 
 from valve_sim.files.parameter_files import default_valve, save_valve
 from valve_sim.model import Drive, Valve, simulate
-from valve_sim.traces import BagRecorder, Signal, Trace, write_bag
+from valve_sim.recordings import BagRecorder, Signal, Trace, write_bag
 
 HERE = Path(__file__).resolve().parent
 EPOCH_NS = 1_700_000_000_000_000_000

@@ -90,7 +90,7 @@ def record(words: list[str]) -> int:
     import rclpy
     from rclpy.qos import QoSProfile
 
-    from valve_sim.traces.writing import BagRecorder
+    from valve_sim.recordings.writing import BagRecorder
 
     parser = argparse.ArgumentParser()
     parser.add_argument("--storage", choices=["mcap"], required=True)

@@ -14,7 +14,7 @@ import yaml
 import valve_sim as vs
 from valve_sim.files.parameter_files import default_valve, load_valve
 from valve_sim.model import Valve
-from valve_sim.traces import Trace
+from valve_sim.recordings import Trace
 
 ROOT: Final = Path(__file__).parents[1]
 BAGS: Final = {

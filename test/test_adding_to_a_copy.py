@@ -26,9 +26,9 @@ import valve_sim
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.model import Drive
 from reference_tables import pages
-from valve_sim.traces import Signal, describe, read_trace, write_bag, write_csv
-from valve_sim.traces.map_draft import draft_map
-from valve_sim.traces.synthetic import Recording, Sensor, record
+from valve_sim.recordings import Signal, describe, read_trace, write_bag, write_csv
+from valve_sim.recordings.map_draft import draft_map
+from valve_sim.recordings.synthetic import Recording, Sensor, record
 
 folder = Path(sys.argv[1])
 valve = default_valve()
@@ -59,7 +59,7 @@ from valve_sim.identification.diagnosis.identify import check_free
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import CATALOGUE, Drive, published_times, simulate
 from reference_tables import pages
-from valve_sim.traces import Trace
+from valve_sim.recordings import Trace
 
 folder, name, stiffness = sys.argv[1], sys.argv[2], float(sys.argv[3])
 plain = default_valve()

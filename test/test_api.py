@@ -15,7 +15,7 @@ from shipped import diagnosed, identified, recording
 
 import valve_sim as vs
 from valve_sim.model import ValveError
-from valve_sim.traces import Trace
+from valve_sim.recordings import Trace
 
 DRIVE = vs.Drive.of([0.01, 0.04], [9.0, 0.0])
 

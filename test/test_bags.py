@@ -8,7 +8,7 @@ import pytest
 from shipped import ROOT, identified
 
 from valve_sim.identification.fit.declared_values import out_of_tolerance
-from valve_sim.traces import list_valves
+from valve_sim.recordings import list_valves
 
 BAGS = ROOT / "bags"
 ROWS = re.findall(r"^\| `([^`]+)` .* ([\d.]+) / ([\d.]+) \|$", (BAGS / "README.md").read_text(), re.MULTILINE)

@@ -20,7 +20,7 @@ from click.testing import CliRunner, Result
 
 from valve_sim.cli import main
 from valve_sim.files.parameter_files import default_valve, load_valve, save_valve
-from valve_sim.traces import CSV_COLUMNS, read_trace, write_bag
+from valve_sim.recordings import CSV_COLUMNS, read_trace, write_bag
 
 BAGS = Path(__file__).parents[1] / "bags"
 LONG = pytest.mark.long
@@ -405,7 +405,7 @@ def test_a_mistake_in_the_program_keeps_its_traceback(monkeypatch: pytest.Monkey
     def fails(*arguments: object) -> None:
         raise ZeroDivisionError
 
-    monkeypatch.setattr("valve_sim.traces.describe", fails)
+    monkeypatch.setattr("valve_sim.recordings.describe", fails)
     assert isinstance(CliRunner().invoke(main, ["info", str(strokes)]).exception, ZeroDivisionError)
 
 

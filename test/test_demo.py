@@ -17,7 +17,7 @@ from rich.console import Console
 from valve_sim.demo.__main__ import DemoError, ModelTime, ValveProcess, main
 from valve_sim.demo.story import Story, comparison
 from valve_sim.model import Phase
-from valve_sim.traces import SensorEvent, StrokeEvents, StrokePart, describe, events_from_sensors, read_trace
+from valve_sim.recordings import SensorEvent, StrokeEvents, StrokePart, describe, events_from_sensors, read_trace
 
 needs_ros = pytest.mark.skipif(
     importlib.util.find_spec("rclpy") is None, reason="there is no ROS 2 here: rclpy cannot be imported"

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from valve_sim.traces import read_trace
+from valve_sim.recordings import read_trace
 
 pytestmark = pytest.mark.long
 
@@ -44,7 +44,7 @@ from matplotlib.figure import Figure
 
 from valve_sim.identification.reporting.figures import save_figure
 from valve_sim.files.parameter_files import default_valve, load_valve, save_valve
-from valve_sim.traces import CSV_COLUMNS, read_trace, write_bag, write_csv
+from valve_sim.recordings import CSV_COLUMNS, read_trace, write_bag, write_csv
 from valve_sim.files.whole_files import write_whole
 
 folder, kills = Path(sys.argv[1]), int(sys.argv[2])
@@ -221,7 +221,7 @@ def test_a_full_disk_is_said_and_what_was_there_stays(tmp_path: Path) -> None:
 def test_a_sqlite_recording_that_finds_no_room_leaves_nothing(tmp_path: Path) -> None:
     script = """
 import resource, sys
-from valve_sim.traces import TraceError, read_trace, write_bag
+from valve_sim.recordings import TraceError, read_trace, write_bag
 trace = read_trace(sys.argv[1])
 resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000))
 for compressed in (False, True):

@@ -16,7 +16,7 @@ from scipy.integrate import solve_ivp
 import valve_sim as vs
 from valve_sim.cli import main
 from valve_sim.identification.plants.own import OwnPlant
-from valve_sim.traces.columns import read
+from valve_sim.recordings.columns import read
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples" / "own_plants"
 

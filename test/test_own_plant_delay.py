@@ -15,7 +15,7 @@ from valve_sim.files.plant_files import load_plant, plant_from
 from valve_sim.identification.diagnosis.identify import identify_plant
 from valve_sim.identification.plants.own import OwnPlant
 from valve_sim.identification.plants.own_simulation import simulate_plant
-from valve_sim.traces.columns import Columns, read
+from valve_sim.recordings.columns import Columns, read
 
 PLANT = """
 plant: equations

@@ -16,7 +16,7 @@ from valve_sim.identification.diagnosis.run import diagnose_plant
 from valve_sim.identification.plants.own import OwnPlant
 from valve_sim.identification.reporting.diagnosis_document import diagnosis_document
 from valve_sim.identification.reporting.page import write_page
-from valve_sim.traces.columns import read
+from valve_sim.recordings.columns import read
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples" / "own_plants"
 STARTS = (0.018, 0.015, 0.012, 0.009, 0.006, 0.004)

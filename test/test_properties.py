@@ -18,7 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from identification.recordings import COARSER, friction_found, recorded
 from model.core.cases import DRAWN, drawn
-from traces.bag_makers import EPOCH, FLOAT, STROKE, Message, good_messages, make_mcap
+from recordings.bag_makers import EPOCH, FLOAT, STROKE, Message, good_messages, make_mcap
 
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.identify import identify
@@ -27,7 +27,7 @@ from valve_sim.identification.reporting import strokes
 from valve_sim.identification.reporting.diagnosis_document import diagnosis_document
 from valve_sim.identification.reporting.page import write_page
 from valve_sim.model import CATALOGUE, Drive, Reading, Response, Stepper, simulate
-from valve_sim.traces import CSV_COLUMNS, Signal, Trace, read_trace, write_bag, write_csv
+from valve_sim.recordings import CSV_COLUMNS, Signal, Trace, read_trace, write_bag, write_csv
 
 NANOSECOND = 1e-9
 NOTHING = Drive.of([], [])

@@ -17,8 +17,8 @@ from valve_sim.cli import main
 from valve_sim.files.parameter_files import load_valve
 from valve_sim.model import ValveError
 from valve_sim.model.core import machine
-from valve_sim.traces import list_valves, write_bag
-from valve_sim.traces.synthetic import read_profile
+from valve_sim.recordings import list_valves, write_bag
+from valve_sim.recordings.synthetic import read_profile
 
 
 @pytest.mark.parametrize("read", [load_valve, read_profile])

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from traces.bag_makers import COMMANDS, clean_trace
+from recordings.bag_makers import COMMANDS, clean_trace
 
 from valve_sim.cli import main
-from valve_sim.traces import describe
+from valve_sim.recordings import describe
 
 TESTS = Path(__file__).parent
 PAGE = TESTS.parent / "docs" / "reference" / "statements.md"

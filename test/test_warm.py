@@ -24,7 +24,7 @@ from valve_sim.identification.fit.problem import Problem
 from valve_sim.identification.plants.protocol import Direction
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import CATALOGUE, Drive, Stepper, Valve, simulate
-from valve_sim.traces import Signal, Trace, read_trace
+from valve_sim.recordings import Signal, Trace, read_trace
 opening = Valve().with_values(a0=3.0).parameters
 drag = Valve(opening, {"quadratic_drag": {"coefficient": 1.0}})
 stiff = Valve(opening, {"spring_hardening": {"coefficient": 1e9}})

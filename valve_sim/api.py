@@ -30,7 +30,7 @@ from valve_sim.identification.plants.own import OwnPlant
 from valve_sim.identification.plants.protocol import primary_channels
 from valve_sim.model import Drive, Response, Valve, published_times
 from valve_sim.model import simulate as run_valve
-from valve_sim.traces import (
+from valve_sim.recordings import (
     Trace,
     TraceError,
     another_valve,
@@ -39,8 +39,8 @@ from valve_sim.traces import (
     read_trace,
     refuse_doubtful_units,
 )
-from valve_sim.traces.columns import Columns
-from valve_sim.traces.table_reading import has_own_columns, is_table
+from valve_sim.recordings.columns import Columns
+from valve_sim.recordings.table_reading import has_own_columns, is_table
 
 if TYPE_CHECKING:
     from valve_sim.identification.reporting.figures import Picture

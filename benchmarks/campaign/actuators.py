@@ -22,7 +22,7 @@ from valve_sim.files.plant_files import plant_from
 from valve_sim.identification.diagnosis.run import diagnose_plant
 from valve_sim.identification.fit.budget import Budget
 from valve_sim.identification.plants.own import OwnPlant
-from valve_sim.traces.columns import read
+from valve_sim.recordings.columns import read
 
 SUBSTEPS: Final = 60
 ROUND: Final = 200

@@ -19,7 +19,7 @@ from valve_sim.identification.diagnosis.followed_positions import followed_posit
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
 from valve_sim.identification.fit.result import Fit
 from valve_sim.model import Drive, Valve, published_times, simulate
-from valve_sim.traces import Signal, Trace
+from valve_sim.recordings import Signal, Trace
 
 SHEET: Final[dict[str, Any]] = {
     **tolerances.SHEET_VALVE, "attraction_polynomial": (6.0, 17.096e3, -30.931e6, 24.026e9),

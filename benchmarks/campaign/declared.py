@@ -10,7 +10,7 @@ from plants.tolerances import Entries
 
 from benchmarks.campaign.effects import Effects
 from valve_sim.model import Drive, Valve
-from valve_sim.traces import Signal, Trace
+from valve_sim.recordings import Signal, Trace
 
 EXACT_SENSOR: Final = {"sensor": {"gain": 0.0, "linearity": 0.0}}
 """Tolerances of a file that declares everything to be exact."""

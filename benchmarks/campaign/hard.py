@@ -26,8 +26,8 @@ from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
 from valve_sim.identification.fit.budget import Budget
 from valve_sim.model import Drive, Valve
-from valve_sim.traces import Trace, read_trace, write_bag
-from valve_sim.traces.synthetic import Sensor, record
+from valve_sim.recordings import Trace, read_trace, write_bag
+from valve_sim.recordings.synthetic import Sensor, record
 
 LEVELS: Final = (9.0, 12.0, 7.5, 14.0, 10.3, 8.4, 13.0, 11.2)
 """V, of successive strokes."""

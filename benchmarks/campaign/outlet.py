@@ -21,7 +21,7 @@ from valve_sim.identification.fit.budget import Budget
 from valve_sim.identification.fit.search import Search
 from valve_sim.identification.fit.starts import starts_of
 from valve_sim.model import Drive, Valve, simulate
-from valve_sim.traces import Signal, Trace
+from valve_sim.recordings import Signal, Trace
 
 SHARES: Final = {
     "inlet_pressure": 0.002, "inlet_temperature": 0.004, "outlet_volume": 0.02, "pilot_orifice_diameter": 0.01,

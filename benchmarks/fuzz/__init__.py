@@ -31,7 +31,7 @@ from valve_sim.files.parameter_files import load_valve
 from valve_sim.files.recording_map import map_from
 from valve_sim.model import CATALOGUE, DECLARED, Drive, Parameter, SimulationError, Valve, simulate
 from valve_sim.model.errors import ValveError
-from valve_sim.traces import TraceError, list_valves, read_trace
+from valve_sim.recordings import TraceError, list_valves, read_trace
 
 ROOT: Final = Path(__file__).parents[2]
 HANGS_AFTER: Final = 10

@@ -17,7 +17,7 @@ from valve_sim.identification.diagnosis.identify import identify
 from valve_sim.identification.diagnosis.run import diagnose
 from valve_sim.identification.validation.replay import validate
 from valve_sim.model import Drive, Valve, ValveError, simulate
-from valve_sim.traces import Signal, Trace
+from valve_sim.recordings import Signal, Trace
 
 LONGEST: Final = 400
 """Characters of a message that is read at a glance."""

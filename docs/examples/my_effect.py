@@ -14,7 +14,7 @@ from valve_sim.identification.reporting.claims import summarise
 from valve_sim.model import CATALOGUE, Drive, Valve
 from valve_sim.model.effects import Effect
 from valve_sim.model.parameters import Parameter
-from valve_sim.traces.synthetic import Sensor, record
+from valve_sim.recordings.synthetic import Sensor, record
 
 
 def eddy_drag(x: float, v: float, u: float, t: float, force: float, speed: float) -> float:

@@ -20,8 +20,8 @@ from valve_sim.model.core import layout
 from valve_sim.model.drives import step
 from valve_sim.model.live import Live
 from valve_sim.model.simulation import TOLERANCE
-from valve_sim.traces import read_trace
-from valve_sim.traces.synthetic import Sensor, record
+from valve_sim.recordings import read_trace
+from valve_sim.recordings.synthetic import Sensor, record
 
 BAGS, CONFIG = (Path(__file__).parents[2] / name for name in ("bags", "config"))
 BLUE, ORANGE, GREY = "#0b6fa4", "#d9730d", "#8a8f98"

@@ -6,7 +6,7 @@ import pytest
 
 from valve_sim.files.whole_files import atomic_write, refuse_unwritable, write_whole
 from valve_sim.model.errors import ValveError
-from valve_sim.traces import TraceError
+from valve_sim.recordings import TraceError
 
 
 def test_a_file_replaces_the_old_one_and_its_folder_is_made(tmp_path: Path) -> None:

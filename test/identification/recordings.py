@@ -16,7 +16,7 @@ from valve_sim.identification.diagnosis.run import Diagnosis, diagnose_plant
 from valve_sim.identification.plants.protocol import Channel, EffectChoice, ForceMap
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import Drive, Valve
-from valve_sim.traces import Trace
+from valve_sim.recordings import Trace
 
 FINE = Recorder(quantisation=0.1e-6, sample_rate=10e3)
 COARSER = Recorder(quantisation=0.1e-6, sample_rate=5e3)

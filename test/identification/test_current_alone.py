@@ -19,7 +19,7 @@ from valve_sim.identification.reporting.identification_document import identific
 from valve_sim.identification.reporting.validation_document import validation_document
 from valve_sim.identification.validation.replay import validate
 from valve_sim.model import Drive, Tolerances, Valve
-from valve_sim.traces import Signal, Trace, events_from_sensors
+from valve_sim.recordings import Signal, Trace, events_from_sensors
 
 NOISE = 1e-3
 """A."""

@@ -20,7 +20,7 @@ from identification.fit.linear_plant import COLUMNS, SAMPLES, LinearPlant
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose_plant
 from valve_sim.identification.plants.protocol import Array, EffectChoice
 from valve_sim.model import Parameter, Valve
-from valve_sim.traces import Trace
+from valve_sim.recordings import Trace
 
 from .diagnosis.test_run import DECLARED
 from .recordings import Short, recorded

@@ -24,8 +24,8 @@ from valve_sim.identification.fit.result import Fit, rmse
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.validation.replay import validate
 from valve_sim.model import Valve
-from valve_sim.signals.left_out import LeftOut
-from valve_sim.traces import Trace, TraceError, read_trace, refuse_doubtful_units, write_bag
+from valve_sim.recordings import Trace, TraceError, read_trace, refuse_doubtful_units, write_bag
+from valve_sim.recordings.left_out import LeftOut
 
 VALVE = default_valve().exact()
 FINE = Recorder(quantisation=0.1e-6)

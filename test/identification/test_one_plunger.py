@@ -19,7 +19,7 @@ from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import Drive, ParameterError, Phase, Valve
 from valve_sim.nodes.live_valve import LiveValve, self_test
 from valve_sim.nodes.realtime import NANOSECONDS
-from valve_sim.traces import Signal, Trace, events_from_sensors, write_bag
+from valve_sim.recordings import Signal, Trace, events_from_sensors, write_bag
 
 FILE = config_path("single_plunger.yaml")
 LEVELS = (24.0, 28.0, 22.0, 26.0, 30.0, 23.0, 27.0, 25.0)

@@ -28,7 +28,7 @@ from valve_sim.identification.reporting.validation_document import validation_do
 from valve_sim.identification.validation.replay import validate
 from valve_sim.model import Drive, ParameterError, Tolerances, Valve, simulate
 from valve_sim.nodes.identification_work import predict
-from valve_sim.traces import Signal, Trace
+from valve_sim.recordings import Signal, Trace
 
 TIMES = np.arange(700) * 1e-3
 NOISE = 35e3

@@ -17,8 +17,8 @@ from identification.live_strokes import LiveValve
 from valve_sim.files.parameter_files import load_valve
 from valve_sim.identification.diagnosis.recording_state import state_of_recording
 from valve_sim.model import Drive
-from valve_sim.traces import Trace
-from valve_sim.traces.synthetic import Sensor, record
+from valve_sim.recordings import Trace
+from valve_sim.recordings.synthetic import Sensor, record
 
 pytestmark = pytest.mark.long
 

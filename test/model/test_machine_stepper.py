@@ -14,7 +14,7 @@ from valve_sim.identification.plants.own_simulation import simulate_plant
 from valve_sim.model import SimulationError
 from valve_sim.model.core.own.simulation import Machine
 from valve_sim.model.machine_stepper import Channels, MachineStepper
-from valve_sim.traces.columns import read
+from valve_sim.recordings.columns import read
 
 PLANT = Path(__file__).parents[2] / "docs" / "examples" / "own_plants" / "single_plunger.yaml"
 

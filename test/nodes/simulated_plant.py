@@ -9,7 +9,7 @@ import numpy as np
 
 from valve_sim.files.plant_files import load_plant
 from valve_sim.identification.plants.own_simulation import simulate_plant
-from valve_sim.traces.columns import read
+from valve_sim.recordings.columns import read
 
 PLANT = Path(__file__).parents[2] / "docs" / "examples" / "own_plants" / "single_plunger.yaml"
 SECOND = 1_000_000_000

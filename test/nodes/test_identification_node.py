@@ -22,8 +22,8 @@ from valve_sim.files.parameter_sections import read_sections
 from valve_sim.files.resources import config_path
 from valve_sim.identification.plants.valve import volts_at
 from valve_sim.identification.reporting.record_next import STROKE_LEVELS
-from valve_sim.traces import read_trace
-from valve_sim.traces.synthetic import read_profile
+from valve_sim.recordings import read_trace
+from valve_sim.recordings.synthetic import read_profile
 
 from .ros_process import PATIENCE, Diagnostics, Probe, ended, piped, running
 

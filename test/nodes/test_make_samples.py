@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from valve_sim.traces import read_trace
+from valve_sim.recordings import read_trace
 
 from .ros_process import ENDS_WITHIN
 

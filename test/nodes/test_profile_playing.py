@@ -16,7 +16,7 @@ from valve_sim.nodes.profile_playing import (
     play,
 )
 from valve_sim.nodes.realtime import NANOSECONDS, ClockReading
-from valve_sim.traces.synthetic import read_profile
+from valve_sim.recordings.synthetic import read_profile
 
 PULSE = Drive.of([0.1, 0.104], [11.0, 0.0])
 START = 50 * NANOSECONDS

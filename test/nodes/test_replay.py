@@ -25,7 +25,7 @@ from valve_sim.nodes.identification_work import (
 )
 from valve_sim.nodes.realtime import ClockReading
 from valve_sim.nodes.settings import IdentificationSettings
-from valve_sim.traces import Signal, Trace, write_bag
+from valve_sim.recordings import Signal, Trace, write_bag
 
 TIMES = np.arange(40) / 1e3
 TRACE = Trace("test", Drive.of([0.0, 0.0205], [9.0, 0.0]), TIMES, np.zeros(40), epoch_ns=5)

@@ -29,7 +29,7 @@ from nodes.ros import (
 from valve_sim.files.parameter_files import load_valve
 from valve_sim.files.resources import config_path
 from valve_sim.model import published_times, simulate
-from valve_sim.traces import BagRecorder, events_from_sensors, read_trace
+from valve_sim.recordings import BagRecorder, events_from_sensors, read_trace
 
 from .dumps import TOLERATED, dump, plain_values
 from .ros_process import Diagnostics, NodeProcess, Probe, beside, running

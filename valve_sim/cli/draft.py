@@ -33,7 +33,7 @@ def draft(*, recording: Path, params: Path | None, output: Path | None) -> None:
     Read on: docs/how_to/your_own_recordings.md
     """
     from valve_sim.files.whole_files import write_whole
-    from valve_sim.traces.map_draft import draft_map
+    from valve_sim.recordings.map_draft import draft_map
 
     if output is not None and output.exists():
         refuse(f"--output {output}: exists and may have been edited by hand; choose another name or remove it")

@@ -18,7 +18,7 @@ from valve_sim.files.json_text import plain
 if TYPE_CHECKING:
     from valve_sim.files.recording_map import RecordingMap
     from valve_sim.identification.diagnosis.recording_state import RecordingState
-    from valve_sim.traces import StrokeEvents, StrokePart, Trace, TraceSummary
+    from valve_sim.recordings import StrokeEvents, StrokePart, Trace, TraceSummary
 
 
 @click.command(cls=Command)
@@ -63,7 +63,7 @@ def info(
 
     Read on: docs/reference/info.md, docs/how_to/your_own_recordings.md, docs/how_to/record_well.md
     """
-    from valve_sim.traces import another_valve, describe, doubtful_units, events_from_sensors, read_trace
+    from valve_sim.recordings import another_valve, describe, doubtful_units, events_from_sensors, read_trace
 
     if plot is not None:
         from valve_sim.files.whole_files import refuse_unwritable
@@ -95,14 +95,14 @@ def info(
 
 def _draw(plot: Path, recordings: Sequence[tuple[Trace, Sequence[StrokePart], Sequence[StrokeEvents]]]) -> None:
     from valve_sim.identification.reporting.figures import save_figure
-    from valve_sim.traces.pictures import draw_recordings
+    from valve_sim.recordings.pictures import draw_recordings
 
     save_figure(draw_recordings(recordings), plot)
 
 
 def _valves_of(bag: Path, name: str | None, recording_map: RecordingMap | None) -> Sequence[str | None]:
     """The valve that was asked for, or all of a recording; None: the only one, which has no name."""
-    from valve_sim.traces import list_valves
+    from valve_sim.recordings import list_valves
 
     return (name,) if name else list_valves(bag, recording_map) or (None,)
 
@@ -138,7 +138,7 @@ def _judged_words(summary: TraceSummary) -> str:
 
 
 def _print_summary(summary: TraceSummary, arrivals: Sequence[StrokeEvents]) -> None:
-    from valve_sim.signals.left_out import words_of
+    from valve_sim.recordings.left_out import words_of
 
     click.echo(shown(f"{summary.source}: {summary.duration:.6g} s, timed by {summary.timed_by}"))
     for signal, rate in summary.signals.items():

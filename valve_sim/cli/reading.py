@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from valve_sim.files.recording_map import RecordingMap
     from valve_sim.identification.plants.own import OwnPlant
     from valve_sim.model import Valve, ValveParameters
-    from valve_sim.traces import Trace
+    from valve_sim.recordings import Trace
 
 
 def declared_valve(params: Path | None, recorded: str | None = None) -> Valve:
@@ -29,7 +29,7 @@ def declared_valve(params: Path | None, recorded: str | None = None) -> Valve:
 
 def recorded_name(bags: Sequence[Path], name: str | None) -> str | None:
     """The name of the valve in recordings, as it was chosen or as the only one that the first holds."""
-    from valve_sim.traces import list_valves
+    from valve_sim.recordings import list_valves
 
     valves = [name] if name or not bags else list_valves(bags[0], chosen_map())
     return valves[0] if len(valves) == 1 else None
@@ -64,7 +64,7 @@ def typed_options(params: Path | None, name: str | None) -> str:
 
 def read_recordings(bags: Sequence[Path], name: str | None, valve: Valve) -> list[Trace]:
     """Read recordings. What was dropped or repaired is reported on stderr; numbers in another unit are refused."""
-    from valve_sim.traces import another_valve, left_out_finding, read_trace, refuse_doubtful_units
+    from valve_sim.recordings import another_valve, left_out_finding, read_trace, refuse_doubtful_units
 
     traces, recording_map = [], chosen_map()
     for bag in bags:
@@ -102,7 +102,7 @@ def read_plant(plant: Path, logs: Sequence[Path]) -> OwnPlant:
 
     from valve_sim.files.plant_files import load_plant
     from valve_sim.identification.plants.own import OwnPlant
-    from valve_sim.traces.columns import Columns, read
+    from valve_sim.recordings.columns import Columns, read
 
     file = load_plant(plant)
     recordings = []

@@ -15,7 +15,7 @@ from valve_sim.cli.reading import chosen_map_file, chosen_params, declared_valve
 
 if TYPE_CHECKING:
     from valve_sim.model import Drive, Event
-    from valve_sim.traces.synthetic import Recording
+    from valve_sim.recordings.synthetic import Recording
 
 
 @click.command(cls=Command)
@@ -113,7 +113,7 @@ def simulate(
 
     Read on: docs/tutorials/first_diagnosis.md, docs/reference/parameters.md
     """
-    from valve_sim.traces.synthetic import Sensor, record
+    from valve_sim.recordings.synthetic import Sensor, record
 
     params = chosen_params(plant, params)
     if plant is not None and is_own(plant):
@@ -154,13 +154,13 @@ def _drive(voltage: float | None, profile: Path | None) -> Drive:
     if (voltage is None) == (profile is None):
         raise click.UsageError("give either --voltage or --profile", click.get_current_context())
     from valve_sim.model import Drive
-    from valve_sim.traces.synthetic import read_profile
+    from valve_sim.recordings.synthetic import read_profile
 
     return Drive.of([0.0], [voltage or 0.0]) if profile is None else read_profile(profile)
 
 
 def _write(output: Path, recording: Recording) -> None:
-    from valve_sim.traces import write_bag, write_csv
+    from valve_sim.recordings import write_bag, write_csv
 
     if output.suffix == ".csv":
         write_csv(output, recording.columns())
@@ -200,7 +200,7 @@ def _simulate_own(
     from valve_sim.files.plant_files import load_plant
     from valve_sim.files.whole_files import write_whole
     from valve_sim.identification.plants.own_simulation import simulate_plant
-    from valve_sim.traces.columns import read
+    from valve_sim.recordings.columns import read
 
     if output.suffix != ".csv":
         refuse(f"--output {output}: expected x.csv, a table, with --plant")

@@ -26,7 +26,7 @@ from rich.live import Live
 from valve_sim.demo.story import ENERGISED, LEAD, RESTING, Story, comparison
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.model import Phase, ValveError
-from valve_sim.traces import BagRecorder, events_from_sensors, read_trace
+from valve_sim.recordings import BagRecorder, events_from_sensors, read_trace
 
 VOLTS: Final = 9.0
 SPEED: Final = 0.02

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rich.table import Table
 
 from valve_sim.model import Drive, Phase, Response
-from valve_sim.traces import SensorEvent, StrokeEvents
+from valve_sim.recordings import SensorEvent, StrokeEvents
 
 ENERGISED: Final = 0.030
 """s of model time that the coil is on; the valve needs 10 ms."""

@@ -17,7 +17,7 @@ from valve_sim.identification.plants.protocol import Plant
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.claims import summarise
 from valve_sim.model import Valve
-from valve_sim.traces import Trace, left_out_finding, stroke_starts
+from valve_sim.recordings import Trace, left_out_finding, stroke_starts
 
 
 def refitted(trace: Trace, declared: Valve, budget: Budget) -> tuple[DiagnosisSession, Fit]:

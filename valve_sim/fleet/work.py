@@ -34,7 +34,7 @@ def look(bag: Bag) -> Survey:
     Raises:
         OSError: it cannot be fetched now.
     """
-    from valve_sim.traces import list_valves
+    from valve_sim.recordings import list_valves
 
     content, path = "", Path()
     try:
@@ -75,7 +75,7 @@ def examine(unit: Unit, output: Path) -> Examined:
 
 
 def _refused(unit: Unit, path: Path, error: Exception) -> Row:
-    from valve_sim.traces import TraceError
+    from valve_sim.recordings import TraceError
 
     words = _words(unit.bag, path, error)
     if not isinstance(error, ValveError):  # a fault of this program must not end a run of a day
@@ -87,7 +87,7 @@ def _diagnosed(unit: Unit, path: Path, output: Path) -> tuple[Row, dict[str, str
     from valve_sim.fleet.rows import refitted, row_values, row_without_search
     from valve_sim.identification.fit.budget import Budget
     from valve_sim.identification.reporting.files import write_diagnosis
-    from valve_sim.traces import read_trace, refuse_doubtful_units
+    from valve_sim.recordings import read_trace, refuse_doubtful_units
 
     trace = read_trace(path, unit.valve)
     refuse_doubtful_units(trace, unit.declared.parameters)

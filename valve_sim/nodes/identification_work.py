@@ -42,7 +42,7 @@ from valve_sim.nodes.realtime import (
 )
 from valve_sim.nodes.settings import IdentificationSettings
 from valve_sim.nodes.threads import Fail, StoppableThread
-from valve_sim.traces import Trace, another_valve, left_out_finding, read_trace, refuse_doubtful_units
+from valve_sim.recordings import Trace, another_valve, left_out_finding, read_trace, refuse_doubtful_units
 
 LATE_SECONDS: Final = 0.01
 """s: lateness of published samples, 99th percentile, beyond which there is a warning."""

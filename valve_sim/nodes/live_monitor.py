@@ -14,7 +14,7 @@ from valve_sim.identification.monitoring.stroke_monitor import StrokeMonitor
 from valve_sim.model import Valve
 from valve_sim.nodes.monitor_work import InputCount, StampCheck
 from valve_sim.nodes.realtime import LONGEST_LEAP_SECONDS, NANOSECONDS
-from valve_sim.traces.trouble import MOST_STROKES
+from valve_sim.recordings.trouble import MOST_STROKES
 
 _JUMP_SECONDS: Final = 1.0
 """A stamp that goes back by more means a clock that was set or a bag that restarted, not a sample out of order."""

@@ -43,7 +43,7 @@ from valve_sim.nodes.settings import MonitorNodeSettings
 from valve_sim.nodes.threads import Repeating
 from valve_sim.nodes.valve_parameters import valve_of
 from valve_sim.nodes.wiring import RosNode, full_name
-from valve_sim.traces import Trace
+from valve_sim.recordings import Trace
 
 _PAUSE: Final = 40e-3
 """s between deliveries: to wake up for a sample costs more than the model's step, and what is done once for each of

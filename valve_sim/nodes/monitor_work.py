@@ -33,7 +33,7 @@ from valve_sim.model.errors import ValveError
 from valve_sim.nodes.diagnostics import Level, Status, number_words, unheard_words
 from valve_sim.nodes.realtime import NANOSECONDS
 from valve_sim.nodes.threads import Fail, StoppableThread
-from valve_sim.traces import Trace
+from valve_sim.recordings import Trace
 
 MOST_WAITING: Final = 100
 """Queued strokes; further ones are dropped and counted."""

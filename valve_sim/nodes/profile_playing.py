@@ -10,7 +10,7 @@ from typing import NamedTuple
 from valve_sim.model import Drive, ParameterError, ValveError
 from valve_sim.nodes.parameters import NodeSettings, option
 from valve_sim.nodes.realtime import NANOSECONDS, ClockJumpedError, PaceClock, when_due
-from valve_sim.traces.synthetic import read_profile
+from valve_sim.recordings.synthetic import read_profile
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,8 @@ from valve_sim.identification.plants.protocol import Experiment
 from valve_sim.identification.plants.valve import ValvePlant, volts_at
 from valve_sim.identification.reporting.record_next import STROKE_LEVELS, duration_of, profile_to_record, write_profile
 from valve_sim.model import EventKind, Valve, simulate
-from valve_sim.traces import Trace
-from valve_sim.traces.synthetic import read_profile
+from valve_sim.recordings import Trace
+from valve_sim.recordings.synthetic import read_profile
 
 DECLARED = Valve().with_values(a0=3.0336, coil_time_constant=0.9934e-3, coil_resistance=10.0)
 START = {"coulomb_friction.force": 0.02, "drive_gain.gain": 0.99}

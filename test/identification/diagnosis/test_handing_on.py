@@ -10,7 +10,7 @@ from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.handing_on import HandedOn, handed_on
 from valve_sim.identification.diagnosis.identify import identify
 from valve_sim.model import Drive
-from valve_sim.traces import Trace
+from valve_sim.recordings import Trace
 
 EXACT_VALVE = default_valve().exact()
 

@@ -12,7 +12,7 @@ from valve_sim.files.plant_files import load_plant
 from valve_sim.identification.diagnosis.outcome import Diagnosis
 from valve_sim.identification.diagnosis.run import diagnose_plant
 from valve_sim.identification.plants.own import OwnPlant
-from valve_sim.traces.columns import read
+from valve_sim.recordings.columns import read
 
 PENDULUM = """
 plant: equations

@@ -21,7 +21,7 @@ from valve_sim.identification.reporting.diagnosis_document import diagnosis_docu
 from valve_sim.identification.reporting.page import write_page
 from valve_sim.identification.reporting.recording_document import recording_document
 from valve_sim.model import ParameterError
-from valve_sim.traces import Trace
+from valve_sim.recordings import Trace
 
 LABORATORIES = {
     "hum and a soft supply": (Laboratory(hum=1e-6, supply_resistance=0.5), ("hum", "supply")),

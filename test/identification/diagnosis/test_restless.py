@@ -11,7 +11,7 @@ from valve_sim.files.plant_files import load_plant
 from valve_sim.identification.diagnosis.run import begin
 from valve_sim.identification.fit.noise import quantisation_step
 from valve_sim.identification.plants.own import OwnPlant
-from valve_sim.traces.columns import read
+from valve_sim.recordings.columns import read
 
 COIL = """
 plant: coil

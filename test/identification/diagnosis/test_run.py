@@ -16,7 +16,7 @@ from valve_sim.identification.reporting.diagnosis_document import diagnosis_docu
 from valve_sim.identification.reporting.recording_document import UNTOLD
 from valve_sim.model import CATALOGUE, Tolerances, Valve
 from valve_sim.model.tolerances import SensorTolerances
-from valve_sim.traces import Trace
+from valve_sim.recordings import Trace
 
 DECLARED = replace(
     Valve().with_values(a0=3.0336, coil_time_constant=0.9934e-3, coil_resistance=10.0),

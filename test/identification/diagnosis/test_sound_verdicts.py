@@ -18,8 +18,8 @@ from valve_sim.identification.reporting.claims import recording_advice, summaris
 from valve_sim.identification.reporting.diagnosis_document import diagnosis_document
 from valve_sim.model import Drive, Parameter
 from valve_sim.model.effects import basis
-from valve_sim.traces import Signal
-from valve_sim.traces.synthetic import Sensor, record
+from valve_sim.recordings import Signal
+from valve_sim.recordings.synthetic import Sensor, record
 
 
 def assert_sound(found: Diagnosis) -> None:

@@ -33,7 +33,7 @@ from valve_sim.identification.fit.problem import Problem
 from valve_sim.identification.fit.remains import place_of
 from valve_sim.identification.fit.search import Search
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.traces import read_trace
+from valve_sim.recordings import read_trace
 
 FRICTION = {"coulomb_friction": {"force": 0.1}}
 UNKNOWN = Decision("unknown", (), {}, 1.0, 1.0)

@@ -20,7 +20,7 @@ from valve_sim.identification.fit.priors import Cauchy, LogNormal
 from valve_sim.identification.plants.protocol import perturbed, to_internal
 from valve_sim.identification.plants.valve import DAMPINGS
 from valve_sim.model import CATALOGUE, DECLARED
-from valve_sim.traces import Trace
+from valve_sim.recordings import Trace
 
 BENCH = [entry for entry in CATALOGUE.values() if entry.named and entry.is_of(has_gas=False)]
 EFFECTS = [f"{entry.name}.{one.name}" for entry in BENCH for one in entry.parameters]

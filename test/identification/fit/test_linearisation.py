@@ -25,7 +25,7 @@ from valve_sim.identification.fit.unknown import Hypothesis, Unknown, curve, unk
 from valve_sim.identification.plants import valve_pieces
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import Tolerances, Valve, simulate
-from valve_sim.traces import Signal, Trace
+from valve_sim.recordings import Signal, Trace
 
 BOTH = ("pilot_damping", "main_damping")
 SHORT = 1e-3

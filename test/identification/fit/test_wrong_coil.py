@@ -11,7 +11,7 @@ from identification.recordings import Short, recorded
 from valve_sim.identification.diagnosis.outcome import Verdict
 from valve_sim.identification.diagnosis.run import begin
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.traces import Trace
+from valve_sim.recordings import Trace
 
 DECLARED = float(CAMPAIGN_VALVE["coil_time_constant"])  # type: ignore[arg-type]
 SIGMA = 0.02 * DECLARED

@@ -26,7 +26,7 @@ from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.monitoring.stroke_monitor import FEWEST_WITH_GAS, StrokeMonitor
 from valve_sim.identification.plants.commissioned import CommissionedPlant
 from valve_sim.identification.plants.protocol import Direction
-from valve_sim.traces import Trace
+from valve_sim.recordings import Trace
 
 pytestmark = pytest.mark.long
 

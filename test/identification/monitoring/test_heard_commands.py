@@ -14,8 +14,8 @@ from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.monitoring.findings import StrokeState
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
-from valve_sim.traces import Signal
-from valve_sim.traces.command_times import within_steps
+from valve_sim.recordings import Signal
+from valve_sim.recordings.command_times import within_steps
 
 RATE = 500.0
 """Hz, of a station's valves."""

@@ -17,7 +17,7 @@ from valve_sim.identification.monitoring.segmenter import StrokeSegmenter
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import Drive, Stepper, Valve
-from valve_sim.traces import Trace
+from valve_sim.recordings import Trace
 
 COMMAND = 0.5
 """s after a trace's beginning."""

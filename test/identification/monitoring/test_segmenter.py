@@ -15,7 +15,7 @@ from valve_sim.identification.monitoring.findings import StrokeRecord
 from valve_sim.identification.monitoring.segmenter import StrokeSegmenter
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.model import Drive, simulate
-from valve_sim.traces import command_strokes, stroke_starts
+from valve_sim.recordings import command_strokes, stroke_starts
 
 EXACT_VALVE = default_valve().exact()
 

@@ -12,7 +12,7 @@ from valve_sim.identification.monitoring.findings import StrokeState
 from valve_sim.identification.plants.commissioned import CommissionedPlant
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import Drive, Valve
-from valve_sim.traces import Trace
+from valve_sim.recordings import Trace
 
 pytestmark = pytest.mark.long
 

@@ -13,7 +13,7 @@ from valve_sim.identification.fit.declared_values import out_of_tolerance
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.plants.valve_model import ValveModel
 from valve_sim.model import Drive, ParameterError, Tolerances, Valve, simulate
-from valve_sim.traces import Signal, Trace
+from valve_sim.recordings import Signal, Trace
 
 SIGMAS = {"outlet_volume": 2e-7, "pilot_orifice_diameter": 2e-6, "inlet_pressure": 1e5}
 TIMES = np.arange(300) * 1e-3

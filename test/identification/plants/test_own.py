@@ -14,7 +14,7 @@ from valve_sim.identification.diagnosis.run import diagnose_plant
 from valve_sim.identification.plants.own import OwnPlant, quiet_samples
 from valve_sim.identification.plants.protocol import Direction
 from valve_sim.identification.validation.own_plant import validate_plant
-from valve_sim.traces.columns import Column, Columns
+from valve_sim.recordings.columns import Column, Columns
 
 TANK = """
 plant: equations

@@ -15,7 +15,7 @@ from valve_sim.identification.diagnosis.identify import identify
 from valve_sim.identification.plants.recording_errors import drive_with
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import Drive
-from valve_sim.traces import DriveErrors, Trace, read_trace
+from valve_sim.recordings import DriveErrors, Trace, read_trace
 
 RECORDINGS = 40
 TRUTH = {"pilot_damping": 1.0, "main_damping": 4.0}

@@ -13,7 +13,7 @@ from identification.recordings import recorded
 from valve_sim.identification.fit.noise import estimate_noise
 from valve_sim.identification.plants.protocol import Channel
 from valve_sim.identification.plants.valve_sensors import channels_of
-from valve_sim.traces import Signal
+from valve_sim.recordings import Signal
 
 NOISE = 1e-3
 """A."""

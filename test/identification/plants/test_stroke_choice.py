@@ -12,7 +12,7 @@ from valve_sim.identification.plants import stroke_choice
 from valve_sim.identification.plants.stroke_choice import AT_REST, FEWEST, MANY, choose_strokes
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import Drive
-from valve_sim.traces import Signal, Trace, stroke_numbers
+from valve_sim.recordings import Signal, Trace, stroke_numbers
 
 RATE = 20_000.0
 

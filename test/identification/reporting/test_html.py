@@ -25,7 +25,7 @@ from valve_sim.identification.reporting.page import write_page
 from valve_sim.identification.reporting.record_next import STROKE_LEVELS
 from valve_sim.identification.reporting.strokes import StrokeCurves, keep_extremes, strokes_of
 from valve_sim.model import CATALOGUE, ValveError
-from valve_sim.traces.synthetic import read_profile
+from valve_sim.recordings.synthetic import read_profile
 
 LARGEST_PAGE = 8_000_000
 needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed to open the report in")

@@ -11,7 +11,7 @@ from valve_sim.identification.plants import valve_pieces
 from valve_sim.identification.validation import replay
 from valve_sim.identification.validation.replay import motion_of
 from valve_sim.model import simulate
-from valve_sim.traces import Signal
+from valve_sim.recordings import Signal
 
 
 @pytest.mark.parametrize("judged", ["position", "current"])

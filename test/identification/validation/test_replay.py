@@ -13,7 +13,7 @@ from valve_sim.identification.diagnosis.run import diagnose
 from valve_sim.identification.reporting.validation_document import validation_document
 from valve_sim.identification.validation.replay import Validation, validate
 from valve_sim.model import EXACT, Tolerances, ValveError
-from valve_sim.traces import Trace, events_from_sensors
+from valve_sim.recordings import Trace, events_from_sensors
 
 EXACT_VALVE = default_valve().exact()
 

@@ -12,7 +12,7 @@ from plants.gas import GasValve
 from valve_sim.identification.plants.protocol import Direction
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import Drive, Valve
-from valve_sim.traces import Signal, Trace
+from valve_sim.recordings import Signal, Trace
 
 from .cases import gas_valve, independent
 

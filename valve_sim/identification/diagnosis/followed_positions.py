@@ -12,7 +12,7 @@ from valve_sim.identification.plants.covariance_root import covariance_root
 from valve_sim.identification.plants.protocol import Array, Plant
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import SimulationError
-from valve_sim.traces import Trace
+from valve_sim.recordings import Trace
 
 
 class FollowedPosition(NamedTuple):

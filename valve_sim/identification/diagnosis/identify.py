@@ -36,8 +36,8 @@ from valve_sim.identification.plants.valve_model import GAS_NAMES
 from valve_sim.model import CATALOGUE, DECLARED, ParameterError, Valve
 from valve_sim.model.parameters import UNUSED_BY_ONE_PLUNGER, closest, unused_words
 from valve_sim.model.valve import OF_TWO_PLUNGERS
-from valve_sim.traces import Trace
-from valve_sim.traces.checking import check_traces
+from valve_sim.recordings import Trace
+from valve_sim.recordings.checking import check_traces
 
 STARTS: Final = (1.0, 4.0, 0.25)
 """Factors on the declared values from which fits start."""

@@ -16,7 +16,7 @@ from valve_sim.identification.fit.recorded_errors import RecordedError
 from valve_sim.identification.fit.result import Fit
 from valve_sim.identification.fit.unknown import SMALLEST
 from valve_sim.model import Valve
-from valve_sim.traces import Trace
+from valve_sim.recordings import Trace
 
 
 @dataclass(frozen=True)

@@ -47,8 +47,8 @@ from valve_sim.identification.plants.protocol import Plant, finite_prediction, s
 from valve_sim.identification.plants.stroke_choice import choose_strokes
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import SimulationError, Valve
-from valve_sim.traces import Trace
-from valve_sim.traces.checking import check_traces
+from valve_sim.recordings import Trace
+from valve_sim.recordings.checking import check_traces
 
 __all__ = ["Candidate", "Diagnosis", "DiagnosisSession", "State", "Verdict", "begin", "diagnose", "diagnose_plant"]
 

@@ -14,7 +14,7 @@ from scipy.linalg.blas import dtbsv
 
 from valve_sim.identification.fit.errors import hum
 from valve_sim.identification.plants.protocol import Channel
-from valve_sim.signals.resting_noise import repeated_levels
+from valve_sim.recordings.resting_noise import repeated_levels
 
 Array = NDArray[np.float64]
 

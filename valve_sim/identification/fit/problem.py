@@ -40,7 +40,7 @@ from valve_sim.identification.plants.protocol import (
     primary_channels,
 )
 from valve_sim.model import SimulationError
-from valve_sim.signals.left_out import largest_beside, running_median
+from valve_sim.recordings.left_out import largest_beside, running_median
 
 STALE: Final = ("white_columns", "column_products")
 """What follows from the errors of the recordings and from the noise."""

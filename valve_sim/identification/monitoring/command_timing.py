@@ -19,8 +19,8 @@ from dataclasses import replace
 from typing import Final, NamedTuple
 
 from valve_sim.model import Drive
-from valve_sim.traces import Signal, Trace
-from valve_sim.traces.command_times import dates_by_voltage, within_steps
+from valve_sim.recordings import Signal, Trace
+from valve_sim.recordings.command_times import dates_by_voltage, within_steps
 
 ARRIVAL_WINDOW: Final = 10
 """s over which the jitter of arrivals is taken."""

@@ -15,7 +15,7 @@ from valve_sim.identification.monitoring.findings import StrokeRecord
 from valve_sim.identification.monitoring.scores import SIZE, Baseline, commission, score_at_levels
 from valve_sim.identification.monitoring.stroke_delays import delays_of
 from valve_sim.model import Drive, EventKind, Valve, simulate
-from valve_sim.traces import Trace
+from valve_sim.recordings import Trace
 
 CONTRADICTS: Final = 4.0
 """Standard errors by which the mean of commissioning scores is not 0."""

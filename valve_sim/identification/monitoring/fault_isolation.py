@@ -28,7 +28,7 @@ from valve_sim.identification.plants.tolerances import hypothesis_of
 from valve_sim.identification.plants.valve import DAMPINGS
 from valve_sim.identification.plants.variation import VARIATION
 from valve_sim.model import Drive
-from valve_sim.traces import Signal, Trace
+from valve_sim.recordings import Signal, Trace
 
 FEWEST: Final = 6
 """Strokes needed to isolate a fault without gas: four to fit, two held out."""

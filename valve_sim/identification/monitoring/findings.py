@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
 from valve_sim.model import Reading
-from valve_sim.traces import Trace
+from valve_sim.recordings import Trace
 
 
 class StrokeState(enum.Enum):

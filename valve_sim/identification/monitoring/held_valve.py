@@ -18,7 +18,7 @@ from valve_sim.identification.monitoring.findings import DidNotClose, DidNotOpen
 from valve_sim.identification.monitoring.stroke_delays import rough_shifts
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import EXACT, SimulationError, Valve
-from valve_sim.traces import Trace
+from valve_sim.recordings import Trace
 
 AT_GAP: Final = 0.05
 """Share of the main plunger's travel within which the pilot waits at the gap."""

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from valve_sim.identification.monitoring.findings import Fault
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.model import Drive
-from valve_sim.traces import Signal, Trace
+from valve_sim.recordings import Signal, Trace
 
 MOST_SAMPLES: Final = 100_000
 """Samples of a stroke; one that has more is ended."""

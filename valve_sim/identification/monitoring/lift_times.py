@@ -22,8 +22,8 @@ from valve_sim.identification.plants.tolerances import of_gas
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.plants.valve_sensors import as_it_began
 from valve_sim.model import CATALOGUE, SimulationError, Valve
-from valve_sim.traces import Trace
-from valve_sim.traces.strokes import begins_stroke
+from valve_sim.recordings import Trace
+from valve_sim.recordings.strokes import begins_stroke
 
 SIZES: Final = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0)
 """Of an effect, in its prior scales, of which the best is refined."""

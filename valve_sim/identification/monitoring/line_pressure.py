@@ -17,7 +17,7 @@ import numpy as np
 from valve_sim.identification.monitoring.findings import Unusable
 from valve_sim.model import Stepper, Valve
 from valve_sim.model.gas import GAS
-from valve_sim.traces import Signal, Trace
+from valve_sim.recordings import Signal, Trace
 
 MOST: Final = 5_000
 """Samples of each kind in memory."""

@@ -42,7 +42,7 @@ from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA
 from valve_sim.identification.plants.valve import DAMPINGS, ValvePlant, dampings_of
 from valve_sim.identification.plants.valve_sensors import as_it_began
 from valve_sim.model import EXACT, SimulationError, Valve, simulate
-from valve_sim.traces import Trace
+from valve_sim.recordings import Trace
 
 SIZE: Final = "size"
 """Name of the score of the residual's size."""

@@ -28,7 +28,7 @@ from valve_sim.identification.monitoring.line_pressure import LinePressure, unkn
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.model import Phase, Reading, SimulationError, Stepper, Valve
-from valve_sim.traces.strokes import begins_stroke
+from valve_sim.recordings.strokes import begins_stroke
 
 LEAD: Final = 0.25
 """s of rest before a stroke that are kept with it, for the noise."""

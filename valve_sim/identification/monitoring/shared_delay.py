@@ -18,7 +18,7 @@ from typing import Final
 
 from valve_sim.identification.monitoring.command_timing import StrokeTiming
 from valve_sim.model import Drive
-from valve_sim.traces import Trace
+from valve_sim.recordings import Trace
 
 FEWEST: Final = 2
 """Strokes in a row that share a delay."""

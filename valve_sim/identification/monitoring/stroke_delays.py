@@ -12,7 +12,7 @@ from valve_sim.identification.plants.protocol import Array
 from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA
 from valve_sim.identification.plants.valve_sensors import as_it_began
 from valve_sim.model import Drive, Valve, simulate
-from valve_sim.traces import Trace
+from valve_sim.recordings import Trace
 
 SHIFT_ITERATIONS: Final = 4
 """Iterations that find the delays of the commands before a fit."""

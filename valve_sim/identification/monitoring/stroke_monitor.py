@@ -55,7 +55,7 @@ from valve_sim.identification.monitoring.stroke_delays import crossing, delays_o
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.identification.plants.valve_sensors import as_it_began
 from valve_sim.model import Drive, EventKind, SimulationError, Valve, simulate
-from valve_sim.traces import Trace, events_from_sensors
+from valve_sim.recordings import Trace, events_from_sensors
 
 FEWEST_TO_ISOLATE: Final = 6
 """Strokes of an alarm from which the fault is first isolated."""

@@ -33,7 +33,7 @@ from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.plants.valve_sensors import as_it_began
 from valve_sim.model import CATALOGUE, DECLARED, Parameter, Tag, Valve, simulate
 from valve_sim.model.gas import GAS
-from valve_sim.traces import Signal, Trace
+from valve_sim.recordings import Signal, Trace
 
 LATEST: Final = 5e-3
 """s: bound of a current's lateness, either way."""

@@ -36,7 +36,7 @@ from valve_sim.model.core.own.simulation import Inputs, Machine, without_straigh
 from valve_sim.model.core.own.units import dimension_words, same
 from valve_sim.model.errors import ParameterError, SimulationError
 from valve_sim.model.parameters import Parameter, closest
-from valve_sim.traces.columns import Column, Columns
+from valve_sim.recordings.columns import Column, Columns
 
 GROUPS: Final = 8
 """Parts of a recording without windows, of which some are held out."""

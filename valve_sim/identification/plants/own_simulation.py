@@ -14,7 +14,7 @@ from valve_sim.identification.plants.protocol import Array
 from valve_sim.model.core.hybrid.system import EquationsError
 from valve_sim.model.core.own.simulation import Event, Machine, without_straight
 from valve_sim.model.errors import SimulationError
-from valve_sim.traces.columns import Columns
+from valve_sim.recordings.columns import Columns
 
 
 class Simulated(NamedTuple):

@@ -23,8 +23,8 @@ from valve_sim.identification.plants.protocol import Array, Nuisance
 from valve_sim.identification.plants.variation import LARGEST, VARIATION, stroke_of, variation, varies_in
 from valve_sim.model import CATALOGUE, Drive, Valve
 from valve_sim.model.valve import ALWAYS
-from valve_sim.traces import Trace
-from valve_sim.traces.strokes import command_strokes, stroke_starts
+from valve_sim.recordings import Trace
+from valve_sim.recordings.strokes import command_strokes, stroke_starts
 
 CLOCK_SIGMA: Final = 50e-6
 """s: the prior of a bag's clock offset and of each command's stamp."""

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.identification.plants.valve_sensors import STILL, still_mask
-from valve_sim.traces import Signal, Trace
-from valve_sim.traces.strokes import stroke_starts
+from valve_sim.recordings import Signal, Trace
+from valve_sim.recordings.strokes import stroke_starts
 
 MANY: Final = 200_000
 """Samples, of all sensors together, up to which a diagnosis takes them all: some 60 strokes of 80 ms at 20 kHz."""

@@ -62,7 +62,7 @@ from valve_sim.identification.plants.valve_sensors import (
 )
 from valve_sim.model import CATALOGUE, Drive, Parameter, Tag, Valve
 from valve_sim.model.effects import FORCE_MAP_COEFFICIENTS, FORCE_MAP_VARIABLES, is_damping
-from valve_sim.traces import Signal, Trace
+from valve_sim.recordings import Signal, Trace
 
 DAMPINGS: Final = ("pilot_damping", "main_damping")
 """Declared values that every fit frees, because they are not known beforehand; see `dampings_of`."""

@@ -18,7 +18,7 @@ from valve_sim.identification.plants.recording_errors import places_of_fields
 from valve_sim.identification.plants.valve_sensors import NO_TIMES, recorded, run_from_rest
 from valve_sim.model import Drive, Valve
 from valve_sim.model.runs import Directions, Shown
-from valve_sim.traces import Trace
+from valve_sim.recordings import Trace
 
 SAMPLES: Final = 8192
 """Of a piece, at least, positions and currents together: what they need stays near the processor."""

@@ -27,7 +27,7 @@ from valve_sim.identification.plants.valve_sensors import amperes, averaged, rat
 from valve_sim.model import CATALOGUE, Drive, Valve
 from valve_sim.model.core.gas import PREFIX
 from valve_sim.model.runs import Directions, Shown
-from valve_sim.traces import Trace
+from valve_sim.recordings import Trace
 
 
 class _Recording(NamedTuple):

@@ -18,9 +18,9 @@ from valve_sim.model.drives import Supply
 from valve_sim.model.gas.parameters import GAS
 from valve_sim.model.runs import Directions, Run, Shown
 from valve_sim.model.simulation import commands_of
-from valve_sim.signals.resting_noise import repeated_levels
-from valve_sim.traces import Signal, Trace, stroke_numbers
-from valve_sim.traces.measured_input import AT_COMMAND
+from valve_sim.recordings import Signal, Trace, stroke_numbers
+from valve_sim.recordings.measured_input import AT_COMMAND
+from valve_sim.recordings.resting_noise import repeated_levels
 
 FIT_TOLERANCE: Final = 1e-8
 """Of one step while fitting: a thousandth of the noise at most."""

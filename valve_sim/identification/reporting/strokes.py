@@ -16,7 +16,7 @@ from valve_sim.identification.plants.protocol import Array, primary_channels
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.document import Line, Panel, Plot
 from valve_sim.identification.reporting.units import quantity, three_digits
-from valve_sim.traces import stroke_numbers
+from valve_sim.recordings import stroke_numbers
 
 DRAWN_POINTS: Final = 450
 """Most points drawn of a stroke: 100 strokes then make a report of some 2 MB."""

@@ -18,7 +18,7 @@ from valve_sim.identification.fit.unknown import known
 from valve_sim.identification.plants.own import OwnPlant
 from valve_sim.identification.plants.protocol import Array, Channel, Direction, finite_prediction
 from valve_sim.identification.validation.replay import Allowed, Replay, StrokeCheck, Validation, errors_between
-from valve_sim.traces import Signal
+from valve_sim.recordings import Signal
 
 
 def validate_plant(plant: OwnPlant, tolerance: float | None = None) -> Validation:

@@ -32,8 +32,8 @@ from valve_sim.identification.plants.valve_sensors import response_to
 from valve_sim.model import EXACT, TOLERANCE, Drive, Event, EventKind, Response, SimulationError, Valve, ValveError
 from valve_sim.model.runs import Run
 from valve_sim.model.simulation import commands_of
-from valve_sim.traces import SensorEvent, Signal, StrokePart, Trace, events_from_sensors, find_stroke_parts
-from valve_sim.traces.checking import check_traces
+from valve_sim.recordings import SensorEvent, Signal, StrokePart, Trace, events_from_sensors, find_stroke_parts
+from valve_sim.recordings.checking import check_traces
 
 NOISE_FACTOR: Final = 3.0
 """The default tolerance, in standard deviations of what is predicted."""

@@ -1,0 +1,432 @@
+"""A first map of a foreign recording: what each topic, field or column looks like, with every guess marked."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import yaml
+
+from valve_sim.files.channels import CHANNELS, SIGNALS, UNITS
+from valve_sim.files.data_tables import TABLE_SUFFIXES, open_table
+from valve_sim.files.entries import Entries
+from valve_sim.files.recording_map import MapError, TimeAxis, map_from, time_axis
+from valve_sim.files.tables import MOST_REPEATED, PARTS, DataTable, TableError
+from valve_sim.model.errors import ValveError
+from valve_sim.recordings.map_series import Series, bag_series, table_series
+from valve_sim.recordings.reading import read_trace
+from valve_sim.recordings.trace import TraceError
+from valve_sim.recordings.trouble import MOST_AMPERES
+from valve_sim.recordings.voltage_steps import count_levels
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from valve_sim.model import ValveParameters
+
+HINTS = {key: channel.hint for key, channel in CHANNELS.items() if channel.hint}
+"""Words in the names of a channel's topics, fields and columns."""
+BESIDE = [key for key in HINTS if key in SIGNALS and key != "voltage"]
+"""What is looked for beside voltage and position."""
+PLAIN = re.compile(r"(?:time|t|zeit|uhrzeit|timestamp|sec|seconds|elapsed).*", re.IGNORECASE)
+FEW_MESSAGES = 0.2
+"""A topic with less than this share of the messages of another is a command: sent when it changes."""
+MOST_LEVELS = 12
+"""A voltage rests at so few levels at most."""
+RESTS = 0.6
+"""Share of a position's samples that are at either end, or more."""
+MOST_LISTED = 40
+WHOLE = re.compile(r"date|datum|day|tag|(.*[^a-z])?(s|sec|secs|seconds)", re.IGNORECASE)
+"""Names of a column with days, or whole seconds, whose fractions are in the next one."""
+FORMS = tuple(
+    f"{day} {clock}"
+    for clock in ("%H:%M:%S.%f", "%H:%M:%S:%f", "%H:%M:%S,%f", "%I:%M:%S.%f %p")
+    for day in ("%m/%d/%Y", "%d/%m/%Y", "%d-%b-%Y", "%d %b %Y", "%b %d, %Y", "%Y-%m-%d", "%d.%m.%Y")
+)
+"""Dates that are tried beside ISO and German ones."""
+NANOSECONDS = (1e6, 1e9)
+"""Between which the largest lies of a recording that lasts longer than a millisecond."""
+EXCEL_DAYS = (2e4, 8e4)
+"""Days since 1899, of 1954 to 2119: a spreadsheet's dates as numbers."""
+
+
+class Guess(NamedTuple):
+    """One line of a map: what is written, and why."""
+
+    quantity: str
+    series: Series
+    settings: Mapping[str, object]
+    reasons: Sequence[str]
+
+    @property
+    def lines(self) -> list[str]:
+        """This entry as YAML on one line, after its reasons as comments; the first of them calls it a guess."""
+        first, *others = self.reasons
+        comments = [f"# {self.quantity} is a guess: {first}", *(f"# {reason}" for reason in others)]
+        return [*comments, f"{self.quantity}: {_yaml({**self.series.place, **self.settings})}"]
+
+
+def draft_map(path: Path, parameters: ValveParameters, command: str) -> str:
+    """Draft the map of a recording from what it contains.
+
+    Args:
+        path: A bag or a table.
+        parameters: The declared valve, whose stroke and voltage tell units apart.
+        command: The command that asked for it, for the first line.
+
+    Returns:
+        The map's YAML; a comment says what each guess is based on, and CHECK marks what only its user can know.
+
+    Raises:
+        ValveError: The recording cannot be read, or nothing in it moves.
+    """
+    lines = [f"# Written by: {command}", "# A first guess: read each line. CHECK marks what only you can know."]
+    if path.suffix.lower() in TABLE_SUFFIXES and path.is_file():
+        table = open_table(path)
+        time, series = _time_line(table)
+        lines += time
+    else:
+        series = bag_series(path)
+    moving = [entry for entry in series if entry.span > 0.0 or _is_one_command(entry)]
+    if not moving:
+        names = ", ".join(entry.name for entry in series[:12]) or "no number at all"
+        raise TraceError(f"{path}: nothing in it moves ({names}); record while the valve works")
+    moving = [entry for entry in moving if not _counts(entry) or re.search(HINTS["position"], entry.words)] or moving
+    used: set[str] = set()
+    for valve, guesses in _valves(moving, parameters).items():
+        indent = ""
+        if valve:
+            lines += [*(["valves:"] if "valves:" not in lines else []), f"  {valve}:"]
+            indent = "    "
+        lines += [indent + line for guess in guesses for line in guess.lines]
+        lines += [f"{indent}# CHECK: {words}" for words in _missing(guesses)]
+        used |= {guess.series.name for guess in guesses}
+    left = [entry for entry in series if entry.name not in used]
+    lines += [f"# not used: {entry.name}, {_range(entry)}" for entry in left[:MOST_LISTED]]
+    if len(left) > MOST_LISTED:
+        lines.append(f"# and {len(left) - MOST_LISTED} more")
+    text = "\n".join(lines) + "\n"
+    _check(path, text, series)
+    return text
+
+
+def _check(path: Path, text: str, series: Sequence[Series]) -> None:
+    """Refuse a draft that no command could read: a voltage or what the valve does is missing, or is not that."""
+    try:
+        drafted = map_from(yaml.safe_load(text), "the draft")
+        for valve in drafted.valves:
+            read_trace(path, valve, drafted)
+    except ValveError as error:
+        listed = "; ".join(f"{entry.name}: {_range(entry)}" for entry in series[:MOST_LISTED])
+        why = str(error).removeprefix("the draft: ").removeprefix(f"{path}: ").partition(";")[0]
+        raise TraceError(
+            f"{path}: no draft can be read: {why}; write a map by hand, of what there is: {listed}"
+        ) from None
+
+
+def _range(entry: Series) -> str:
+    """What a series reads, and so what it may be."""
+    reads = f"{entry.low:.6g} to {entry.high:.6g}"
+    if _counts(entry) or not entry.span:
+        return f"{reads}, ascends: times or a counter" if entry.span else f"always {entry.low:.6g}"
+    if np.unique(entry.values).size == 2:
+        return f"{reads}, two levels: a switch or a command"
+    if 2 <= count_levels(entry.values) <= MOST_LEVELS and entry.sharpness > 0.5:
+        return f"{reads}, steps between levels: a voltage, or what is switched by it"
+    if entry.rest_share > RESTS:
+        return f"{reads}, rests at either end: a position between stops"
+    return f"{reads}, hardly changes: a temperature or a pressure" if entry.span < 0.1 * abs(entry.low) else reads
+
+
+def _missing(guesses: Sequence[Guess]) -> list[str]:
+    found = {guess.quantity for guess in guesses}
+    words = []
+    if "position" not in found:
+        alone = "; without one the current alone is gone by" if "current" in found else ""
+        words.append(f"no position found; add position: {{...}}{alone}")
+    return words if found & {"command", "voltage"} else [*words, "no voltage found; add command: or voltage: {...}"]
+
+
+def _valves(series: Sequence[Series], parameters: ValveParameters) -> dict[str, list[Guess]]:
+    """Guesses by valve; one valve without a name unless numbers in the names tell several apart."""
+    lifts = [entry for entry in series if re.search(HINTS["position"], entry.words)]
+    volts = {entry.number for entry in series if re.search(f"{HINTS['command']}|{HINTS['voltage']}", entry.words)}
+    numbers = sorted({entry.number for entry in lifts if entry.number and entry.number in volts})
+    if len(numbers) < 2:
+        return {"": _guesses(series, parameters)}
+    return {
+        f"/valve_{number}": _guesses([entry for entry in series if entry.number == number], parameters)
+        for number in numbers
+    }
+
+
+def _guesses(series: Sequence[Series], parameters: ValveParameters) -> list[Guess]:
+    """The quantities of one valve, the voltage first: the series that moves at its steps is the position.
+
+    Beside a voltage that was sampled there may be the commands as they were sent.
+    """
+    rest = list(series)
+    guesses: list[Guess] = []
+    voltage = _best(rest, _voltage_score)
+    if voltage is not None:
+        rest.remove(voltage)
+    # A laser's voltage is called one, too.
+    others = [entry for entry in rest if not _is_voltage(entry)] or [own for own in rest if own.rest_share > RESTS]
+    position = _best(others, _position_score)
+    if position is not None:
+        rest.remove(position)
+    if voltage is not None:
+        guesses.append(_voltage_guess(voltage, max(len(entry.values) for entry in series), parameters))
+        if guesses[0].quantity == "voltage":
+            sent = [entry for entry in rest if _is_voltage(entry) and len(np.unique(entry.values)) <= MOST_LEVELS]
+            for entry in sent[:1]:
+                rest.remove(entry)
+                guesses.append(Guess("command", entry, {}, [f"reads {entry.low:.4g} to {entry.high:.4g}"]))
+    if position is not None:
+        guesses.append(_position_guess("position", position, parameters))
+        for main in [entry for entry in rest if _is_main(entry) and _names(entry, "position")][:1]:
+            rest.remove(main)
+            guesses.append(_position_guess("main_position", main, parameters))
+    for quantity in BESIDE:
+        named = [entry for entry in rest if _names(entry, quantity)]
+        # A current without a name is taken to be the remaining channel of an oscilloscope.
+        is_alone = len(rest) == 1 and "column" in rest[0].place
+        unnamed = rest if quantity == "current" and is_alone and not any(_names(rest[0], own) for own in BESIDE) else []
+        for entry in [found for found in named or unnamed if _is_possible(quantity, found, parameters)][:1]:
+            rest.remove(entry)
+            guesses.append(_other_guess(quantity, entry, is_named=bool(named), parameters=parameters))
+    return guesses
+
+
+def _counts(entry: Series) -> bool:
+    """Whether a series grows from each value to the next, as stamps and counters do and no quantity of a valve does."""
+    return len(entry.values) > MOST_LEVELS and bool((np.diff(entry.values) > 0.0).all())
+
+
+def _is_possible(quantity: str, entry: Series, parameters: ValveParameters) -> bool:
+    """Whether a series can be this quantity in any unit that a map knows, or in the one that its file states.
+
+    A current that would be refused as soon as it is read is none, and nothing is colder than absolute zero.
+    """
+    channel = CHANNELS[quantity]
+    units, (least, most) = UNITS[channel.dimension], channel.bounds
+    possible = [units[entry.unit]] if entry.unit in units else list(units.values())
+    if quantity == "current":
+        # The drive may be of several times the reference voltage, as with peak and hold.
+        amperes = MOST_AMPERES * parameters.reference_voltage / parameters.coil_resistance
+        return any(unit.factor * max(abs(entry.low), abs(entry.high)) <= amperes for unit in possible)
+    usual = float(np.median(entry.values))
+    return any(least <= unit.factor * usual + unit.zero <= most for unit in possible)
+
+
+def _best(series: Sequence[Series], score: Callable[[Series], float]) -> Series | None:
+    ranked = sorted(series, key=score, reverse=True)
+    return ranked[0] if ranked and score(ranked[0]) > 0.0 else None
+
+
+def _names(entry: Series, quantity: str) -> bool:
+    """Whether its words say that it is this quantity, or its unit where its words say no other."""
+    if re.search(HINTS[quantity], entry.words):
+        return True
+    if any(re.search(HINTS[other], entry.words) for other in BESIDE):
+        return False
+    return entry.unit in UNITS[CHANNELS[quantity].dimension] and entry.unit not in ("g", "m")
+
+
+def _voltage_score(entry: Series) -> float:
+    """How much a series looks like a voltage that is switched."""
+    levels = count_levels(entry.values)
+    named = _names(entry, "command") or bool(re.search(HINTS["voltage"], entry.words))
+    other = any(_names(entry, quantity) for quantity in ("position", *BESIDE))
+    is_switched = 2 <= levels <= MOST_LEVELS
+    return 2.0 * named + is_switched + (0.5 * entry.sharpness if is_switched else 0.0) - 2.0 * (other and not named)
+
+
+def _position_score(entry: Series) -> float:
+    """How much a series looks like a plunger between two stops."""
+    other = any(_names(entry, quantity) for quantity in BESIDE)
+    return (
+        2.0 * _names(entry, "position") + entry.rest_share - 2.0 * other + 0.1 * entry.is_first_choice - _is_main(entry)
+    )
+
+
+def _is_voltage(entry: Series) -> bool:
+    """Whether its name says that it is a voltage, and not also that it is a position."""
+    says = re.search(f"{HINTS['command']}|{HINTS['voltage']}", entry.words) is not None
+    return says and re.search(HINTS["position"], entry.words) is None
+
+
+def _is_one_command(entry: Series) -> bool:
+    """Whether it is a voltage that was commanded once, and held."""
+    return len(entry.values) == 1 and entry.high != 0.0 and _is_voltage(entry)
+
+
+def _is_main(entry: Series) -> bool:
+    return re.search(r"main", entry.words) is not None
+
+
+def _voltage_guess(entry: Series, most: int, parameters: ValveParameters) -> Guess:
+    """What a voltage is; `most`: values of the longest series beside it."""
+    reasons = [f"reads {entry.low:.4g} to {entry.high:.4g}"]
+    settings: dict[str, object] = {}
+    is_bag = "topic" in entry.place
+    few = len(entry.values) < FEW_MESSAGES * most
+    named = bool(re.search(HINTS["command"], entry.words))
+    exact = len(np.unique(entry.values)) <= MOST_LEVELS
+    quantity = "command" if (is_bag and few) or (named and exact) or (not is_bag and exact) else "voltage"
+    reasons.append("sent when it changes" if is_bag and few else "steps between few levels")
+    if entry.unit in UNITS["voltage"]:
+        settings["unit"] = entry.unit
+    highest = max(abs(entry.low), abs(entry.high))
+    ratio = highest / parameters.reference_voltage
+    if "unit" not in settings and ratio > 100.0:
+        settings["unit"] = "mV"
+        reasons.append("CHECK unit: by the declared reference_voltage")
+    elif ratio < 0.3:
+        reasons.append(
+            f"CHECK: the declared valve has {parameters.reference_voltage:g} V; behind a divider? then scale: 10, say"
+        )
+    return Guess(quantity, entry, settings, reasons)
+
+
+def _position_guess(quantity: str, entry: Series, parameters: ValveParameters) -> Guess:
+    reasons = [f"reads {entry.low:.6g} to {entry.high:.6g}, at rest {entry.at_rest:.6g}"]
+    settings: dict[str, object] = {}
+    units = UNITS["length"]
+    if entry.unit in units:
+        unit = entry.unit
+        reasons.append("unit as the file says")
+    else:
+        unit = min(
+            ("m", "mm", "um", "nm"), key=lambda name: abs(np.log(units[name].factor * entry.span / parameters.stroke))
+        )
+        reasons.append(f"CHECK unit: travels {entry.span:.4g}, the declared stroke is {parameters.stroke:.4g} m")
+    settings["unit"] = unit
+    sign = -1 if entry.at_rest - entry.low > entry.high - entry.at_rest else 1
+    if sign < 0:
+        settings["sign"] = -1
+        reasons.append("CHECK sign: it begins at its highest, taken for closed")
+    if abs(entry.at_rest) > 0.05 * entry.span:
+        settings["offset"] = float(f"{-sign * entry.at_rest:.6g}")
+        reasons.append("offset: of the first samples, taken for closed")
+    return Guess(quantity, entry, settings, reasons)
+
+
+def _other_guess(quantity: str, entry: Series, *, is_named: bool, parameters: ValveParameters) -> Guess:
+    dimension = CHANNELS[quantity].dimension
+    units = UNITS[dimension]
+    unit = entry.unit if entry.unit in units else next(iter(units))
+    highest = max(abs(entry.low), abs(entry.high))
+    if quantity == "current" and entry.unit not in units:
+        expected = parameters.reference_voltage / parameters.coil_resistance
+        unit = "mA" if highest > 30.0 * expected else "A"
+    reasons = [f"reads {entry.low:.4g} to {entry.high:.4g}", "by its name" if is_named else "CHECK: what else is there"]
+    if entry.unit not in units:
+        reasons.append("CHECK unit, and scale: of a probe")
+    if CHANNELS[quantity].to_check:
+        reasons.append(f"CHECK {CHANNELS[quantity].to_check}")
+    return Guess(quantity, entry, {"unit": unit}, reasons)
+
+
+def _time_line(table: DataTable) -> tuple[list[str], list[Series]]:
+    """The lines about time, and what the other columns hold."""
+    columns = {name: values for name in table.names if (values := _numbers(table, name)) is not None}
+    parts = [(first, second) for first, second in itertools.pairwise(table.names) if _is_part(table, first, second)]
+    with np.errstate(invalid="ignore"):  # of readings beyond the range
+        steps_of = {name: np.diff(values) for name, values in columns.items() if len(values) > 1}
+    dating = {name: steps for name, steps in steps_of.items() if _dates(name, steps)}
+    usable = [name for name, steps in dating.items() if np.mean(steps == 0.0) <= 1.0 / MOST_REPEATED]
+    named = [name for name in usable if PLAIN.fullmatch(name)]
+    tried = [_whole_stamp(table, pair) for pair in parts]
+    tried += [_stamp(table, name, columns[name]) for name in (*named, *usable)[:1]]
+    tried += [_dated(table, name) for name in table.names if name not in columns]
+    entry, reason = next((found for found in tried if found), (None, ""))
+    if entry is None:
+        coarse = next((name for name in dating if PLAIN.fullmatch(name)), None)
+        why = "no column ascends" if coarse is None else f"column {coarse} repeats: it has too few digits"
+        raise TraceError(
+            f"{table.path}: {why}, and nothing else says when its rows were taken; write a map by hand with "
+            "time: {rate: ...} (rows a second), or export the times"
+        )
+    taken = entry["column"] if isinstance(entry["column"], list) else [entry["column"]]
+    series = table_series(table, {name: values for name, values in columns.items() if name not in taken})
+    steps = np.diff(table.row_times(time_axis(Entries("", MapError), entry)).times)
+    rate = 1.0 / float(np.median(steps[steps > 0.0]))
+    return [f"# {rate:.6g} rows a second; {reason}", f"time: {_yaml(entry)}"], series
+
+
+def _numbers(table: DataTable, name: str) -> NDArray[np.float64] | None:
+    try:
+        return table.column(name)
+    except TableError:  # words
+        return None
+
+
+def _is_part(table: DataTable, first: str, second: str) -> bool:
+    """Whether two columns hold one time: a day and a time of day, or seconds and their fractions."""
+    if first.isdigit():  # without names: as `ros2 topic echo --csv` writes a stamp
+        seconds, rest = _numbers(table, first), _numbers(table, second)
+        return seconds is not None and rest is not None and _is_stamp(seconds, rest)
+    is_fraction = any(part.fullmatch(second) for part in PARTS.values())
+    return (is_fraction or PLAIN.fullmatch(second) is not None) and WHOLE.fullmatch(first) is not None
+
+
+def _is_stamp(seconds: NDArray[np.float64], rest: NDArray[np.float64]) -> bool:
+    """Whether two columns hold seconds that ascend and their nanoseconds."""
+    are_whole = all((own == np.round(own)).all() and own.min() >= 0.0 for own in (seconds, rest))
+    return bool(are_whole and (np.diff(seconds) >= 0.0).all() and NANOSECONDS[0] < rest.max() < NANOSECONDS[1])
+
+
+def _whole_stamp(table: DataTable, pair: tuple[str, str]) -> tuple[dict[str, object], str] | None:
+    """The entry of a time in two columns, if it is one."""
+    unit = next((name for name, part in PARTS.items() if part.fullmatch(pair[1])), "ns" if pair[0].isdigit() else "")
+    entry: dict[str, object] = {"column": list(pair), **({"unit": ["s", unit]} if unit else {})}
+    try:
+        table.row_times(time_axis(Entries("", MapError), entry))
+    except TableError:
+        return None
+    return entry, "time in two columns"
+
+
+def _stamp(table: DataTable, name: str, values: NDArray[np.float64]) -> tuple[dict[str, object], str]:
+    """The entry of a time in a column of numbers or of dates that are known."""
+    step = float(np.median(np.diff(values)[np.diff(values) > 0.0]))
+    units = UNITS["time"]
+    unit, reason = table.units.get(name, ""), "unit as the file says"
+    if unit.lower().startswith("s"):
+        unit = "s"
+    if unit not in units:
+        is_calendar = EXCEL_DAYS[0] < values[0] < EXCEL_DAYS[1] and step < 1e-4
+        known = ("d",) if is_calendar else ("s", "ms", "us", "ns")
+        unit = next((own for own in known if 2e-7 < units[own].factor * step < 2e-2), "s")
+        reason = "CHECK unit"
+    return {"column": name, "unit": unit}, reason
+
+
+def _dated(table: DataTable, name: str) -> tuple[dict[str, object], str] | None:
+    """The entry of dates of another form, if one of those that are usual fits."""
+    for form in FORMS:
+        try:
+            table.row_times(TimeAxis((name,), form=form))
+        except TableError:
+            continue
+        return {"column": name, "format": form}, "CHECK format: day and month may be the other way round"
+    return None
+
+
+def _dates(name: str, steps: NDArray[np.float64]) -> bool:
+    """Whether a column may be of times: it never falls, and is no counter of rows unless its name says time."""
+    never_falls = bool((steps >= 0.0).all() and steps.any())
+    return never_falls and (not (steps == 1.0).all() or PLAIN.fullmatch(name) is not None)
+
+
+def _yaml(entry: Mapping[str, object]) -> str:
+    """An entry of a map on one line."""
+    return yaml.safe_dump(
+        dict(entry), default_flow_style=True, sort_keys=False, allow_unicode=True, width=2**20
+    ).strip()
