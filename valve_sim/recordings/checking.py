@@ -30,9 +30,7 @@ def check_traces(traces: Sequence[Trace]) -> None:
         raise TraceError("no recording was given, expected at least one")
     for index, trace in enumerate(traces):
         if not isinstance(trace, Trace):
-            raise TraceError(
-                f"recording {index + 1}: found {type(trace).__name__}, expected a valve_sim Trace"
-            )
+            raise TraceError(f"recording {index + 1}: found {type(trace).__name__}, expected a valve_sim Trace")
         _check_trace(trace)
 
 
