@@ -466,12 +466,17 @@ class Fitter:
         fastest = max((one.high for one in self.problem.plant.force_maps if one.variable == "v"), default=1.0)
         return _force_of(self.problem) / (fastest if own.least == 0.0 else 1.0)
 
-    def fit_curve(self, name: str, names: Set, values: Mapping[str, float]) -> Descended | None:
-        """A smooth curve beside a set, as stiff as its own evidence says; None where it cannot be simulated."""
+    def fit_curve(self, name: str, names: Set, values: Mapping[str, float], goal: float = math.inf) -> Descended | None:
+        """A smooth curve beside a set, as stiff as its own evidence says.
+
+        None where it cannot be simulated, or comes nowhere near a goal for the criterion.
+        """
         own = {one.group.name: one.group for one in self.curves[name].frees if one.group}
         self.sizes.update({key: group.scale for key, group in own.items()})
         whole = tuple(sorted((*names, name)))
-        fit = self.descended(self.model(whole), values, most=25)
+        fit = self.descended(self.model(whole), values, most=25, goal=goal)
+        if fit is not None and not fit.converged and fit.least > goal:
+            return None
         for _ in range(ROUNDS):
             if fit is None:
                 return None
