@@ -372,14 +372,13 @@ class Search:
         if not best or not self.fitter.learned:
             return
         fitter, fit = self.fitter, self.tried[best].fit
-        sizes, columns = dict(fitter.sizes), self.problem.columns
+        before = fitter.errors
         if self.unnamed_beside(best) > EVEN:
             fit = fitter.with_modes(best, fit)
         found = fitter.weighed(best, fitter.learn(best, fit))
         gain = self.log_weight_of(best, found) - self.log_weight(best)
         if gain < WORTH_LEARNING or self.rivals.unnamed_beside(best, found.evidence) > EVEN:
-            fitter.sizes = sizes
-            fitter.use(columns)
+            fitter.take(before)
             return
         least = self.log_weight(best) - NEAR - gain
         every = (*self.tried, *self.begun)
@@ -394,8 +393,7 @@ class Search:
         """Let the effect differ from stroke to stroke that then follows them, leaves nothing, and is most probable."""
         fitter, alone = self.fitter, [names for names in self.tried if len(names) == 1]
         most = max(map(self.log_weight, self.tried)) + WORTH_A_CHANGE
-        before = fitter.changing, dict(fitter.sizes), self.problem.columns
-        best = None
+        before, best = fitter.errors, None
         for names in alone:
             self._say(f"{words(names)} that changes over the strokes", self._done)
             fit = fitter.with_change(names, self.tried[names].fit, names[0])
@@ -403,13 +401,12 @@ class Search:
             if found is not None and fitter.is_orderly(found):
                 weight = self.log_weight_of(names, found)
                 if weight > most and self.rivals.unnamed_beside(names, found.evidence) < EVEN:
-                    best, most = (names, found, (fitter.changing, dict(fitter.sizes), self.problem.columns)), weight
-            fitter.changing, fitter.sizes = before[0], dict(before[1])
-            fitter.use(before[2])
+                    best, most = (names, found, fitter.errors), weight
+            fitter.take(before)
         if best is not None:
-            self.tried[best[0]] = best[1]
-            fitter.changing, fitter.sizes = best[2][:2]
-            fitter.use(best[2][2])
+            names, found, errors = best
+            self.tried[names] = found
+            fitter.take(errors)
 
     # -- smooth curves -------------------------------------------------------------------------------------------------
 
