@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.files.cells import DAY, Stamp
+from valve_sim.files.cells import DAY, Stamp, kind_of, number_in, stamp_in
 from valve_sim.files.channels import UNITS
 from valve_sim.files.recording_map import TimeAxis
 from valve_sim.model.errors import ValveError
@@ -157,19 +157,47 @@ class DataTable:
             "time: {column: [..., ...], unit: [s, ns]}"
         )
 
+    def _numbers(self, place: int) -> Array:
+        """The numbers of a column; of dates, s since midnight before the first one."""
+        cells = self._cells(place)
+        values = [None if cell is None else number_in(cell) for cell in cells]
+        if None not in values:
+            return np.array(values, dtype=np.float64)
+        stamps = [stamp_in(cell) if cell else None for cell in cells]
+        if None not in stamps:
+            return _since_the_first_day([stamp for stamp in stamps if stamp])[0]
+        raise self._is_none(place, (stamps if stamps[0] else values).index(None), "number")
+
     def _are_stamps(self, places: Sequence[int], axis: TimeAxis) -> bool:
         """Whether columns hold dates or times of day."""
-        return False
+        first = [self._cells(place)[:1] for place in places]
+        return bool(axis.form) or any(kind_of(cell) == "date" for cells in first for cell in cells if cell)
 
     def _seconds(self, places: Sequence[int], axis: TimeAxis) -> tuple[Array, float]:
         """Times of such columns: (n,) s, and since when."""
+        stamps = []
+        for row, cells in enumerate(zip(*(self._cells(place) for place in places), strict=True)):
+            stamp = None if None in cells else stamp_in(" ".join(cell for cell in cells if cell), axis.form)
+            if stamp is None:
+                form = f"time as {axis.form}" if axis.form else "date or a time of day, or its form in time: format:"
+                raise self._is_none(places[0], row, form)
+            stamps.append(stamp)
+        return _since_the_first_day(stamps)
+
+    def _is_none(self, place: int, row: int, expected: str) -> TableError:
+        cell = self._cells(place)[row]
+        found = "nothing" if cell is None else repr(cell[:40])
+        return TableError(
+            f"{self.path}: {self.place(row)}: column {self.names[place]}: found {found}, expected a {expected}; "
+            "correct the line or take it out"
+        )
+
+    def _cells(self, place: int) -> list[str | None]:
+        """The cells of a column as text; None where there is none."""
         raise NotImplementedError
 
-    def _numbers(self, place: int) -> Array:
-        raise NotImplementedError
 
-
-def since_the_first_day(stamps: Sequence[Stamp]) -> tuple[Array, float]:
+def _since_the_first_day(stamps: Sequence[Stamp]) -> tuple[Array, float]:
     """(n,) s since midnight before the first stamp, and when that was, s since 1970; 0 where nothing says the day.
 
     Without days, each time that they begin anew a period is over.

@@ -15,10 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.files.bounded import table_text
-from valve_sim.files.cells import kind_of, number_in, stamp_in
+from valve_sim.files.cells import kind_of, number_in
 from valve_sim.files.channels import UNITS
-from valve_sim.files.recording_map import TimeAxis
-from valve_sim.files.tables import DataTable, TableError, since_the_first_day
+from valve_sim.files.tables import DataTable, TableError
 
 Array = NDArray[np.float64]
 Rows = Sequence[Sequence[str]]
@@ -132,47 +131,12 @@ class TextTable(DataTable):
         except ValueError:
             found = np.empty(0)
         # A quote that is not closed makes one cell of many lines.
-        return found if len(found) == self.rows else self._cell_by_cell(place)
-
-    def _cell_by_cell(self, place: int) -> Array:
-        """The same, slowly, where not all cells are plain numbers; a cell that is none is named with its line."""
-        cells = self._cells(place)
-        values = [None if cell is None else number_in(cell) for cell in cells]
-        if None not in values:
-            return np.array(values, dtype=np.float64)
-        stamps = [stamp_in(cell) if cell else None for cell in cells]
-        if None not in stamps:
-            return since_the_first_day([stamp for stamp in stamps if stamp])[0]
-        row = (stamps if stamps[0] else values).index(None)
-        raise self._is_none(place, row, "number")
-
-    def _is_none(self, place: int, row: int, expected: str) -> TableError:
-        cell = self._cells(place)[row]
-        found = "nothing" if cell is None else repr(cell[:40])
-        return TableError(
-            f"{self.path}: {self.place(row)}: column {self.names[place]}: found {found}, expected a {expected}; "
-            "correct the line or take it out"
-        )
+        return found if len(found) == self.rows else super()._numbers(place)
 
     def _cells(self, place: int) -> list[str | None]:
         """The cells of a column; None where a line ends before it."""
         rows = (cells_of(self._lines[number], self._layout.delimiter) for number in self._rows)
         return [row[place] if place < len(row) else None for row in rows]
-
-    def _are_stamps(self, places: Sequence[int], axis: TimeAxis) -> bool:
-        row = cells_of(self._lines[self._rows[0]], self._layout.delimiter) if self._rows else []
-        return bool(axis.form) or any(kind_of(row[place]) == "date" for place in places if place < len(row))
-
-    def _seconds(self, places: Sequence[int], axis: TimeAxis) -> tuple[Array, float]:
-        columns = [self._cells(place) for place in places]
-        stamps = []
-        for row, cells in enumerate(zip(*columns, strict=True)):
-            stamp = None if None in cells else stamp_in(" ".join(cell for cell in cells if cell), axis.form)
-            if stamp is None:
-                form = f"time as {axis.form}" if axis.form else "date or a time of day, or its form in time: format:"
-                raise self._is_none(places[0], row, form)
-            stamps.append(stamp)
-        return since_the_first_day(stamps)
 
 
 def cells_of(line: str, delimiter: str | None) -> list[str]:
