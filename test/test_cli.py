@@ -431,7 +431,7 @@ def test_what_cannot_be_written_is_refused_before_anything_is_read(
         raise AssertionError("read before it was known that nothing can be written")
 
     for name in ("read_trace", "read_recordings"):
-        monkeypatch.setattr(f"valve_sim.{'traces' if name == 'read_trace' else 'cli.reading'}.{name}", reads)
+        monkeypatch.setattr(f"valve_sim.{'recordings' if name == 'read_trace' else 'cli.reading'}.{name}", reads)
     (tmp_path / "file").touch()
     given = [own.format(bag=strokes, ok=tmp_path) for own in (*command, option, place)]
     result = run(*given)

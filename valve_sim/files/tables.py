@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.files.cells import DAY, Stamp, kind_of, number_in, stamp_in
+from valve_sim.files.cells import DAY, Stamp, kind_of, number_in, quantity_in, stamp_in
 from valve_sim.files.channels import UNITS
 from valve_sim.files.recording_map import TimeAxis
 from valve_sim.model.errors import ValveError
@@ -53,7 +53,8 @@ class DataTable:
     Attributes:
         path: the file, for messages. names: of the columns, in the file's order.
         units: column to unit, where the file says one. others: what else its head calls a column, and its place.
-        findings: what of the file was left out, a line each.
+        findings: what of the file was left out, a line each. interval: s from row to row, as the head says it, and
+            where; 0 where it does not.
     """
 
     def __init__(
@@ -62,6 +63,7 @@ class DataTable:
         self.path, self.names, self.units = path, tuple(names), dict(units)
         self.others = {name: place for name, place in (others or {}).items() if name not in self.names}
         self.findings: tuple[str, ...] = ()
+        self.interval: tuple[float, str] = (0.0, "")
 
     def has(self, name: str) -> bool:
         """Whether there is a column of this name or number, from 1 on."""
@@ -75,6 +77,10 @@ class DataTable:
             TableError: there is no such column, or one of its cells is not a number.
         """
         return self._numbers(self._place(name))
+
+    def texts(self, name: str) -> list[str]:
+        """The cells of a column as they are written, empty where there is none."""
+        return [cell or "" for cell in self._cells(self._place(name))]
 
     def _place(self, name: str) -> int:
         if not self.has(name):
@@ -163,6 +169,13 @@ class DataTable:
         values = [None if cell is None else number_in(cell) for cell in cells]
         if None not in values:
             return np.array(values, dtype=np.float64)
+        quantities = [
+            (value, "") if value is not None else quantity_in(cell or "")
+            for cell, value in zip(cells, values, strict=True)
+        ]
+        units = {own[1] for own in quantities if own and np.isfinite(own[0])}
+        if None not in quantities and len(units) == 1:
+            return np.array([own[0] for own in quantities if own], dtype=np.float64)
         stamps = [stamp_in(cell) if cell else None for cell in cells]
         if None not in stamps:
             return _since_the_first_day([stamp for stamp in stamps if stamp])[0]

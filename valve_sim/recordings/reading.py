@@ -303,7 +303,7 @@ class _Assembly:
         except TraceError as error:
             if self.plan.map_path:
                 raise
-            why = str(error).removeprefix(f"{self.recorded.path}: ").partition(";")[0]
+            why = str(error).removeprefix(f"{self.recorded.path}: ").removeprefix("topic ").partition(";")[0]
             self.findings.append(f"{why}: it was left out")
             return None
         values = source.to_si(values, CHANNELS[key].dimension)
