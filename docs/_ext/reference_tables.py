@@ -22,7 +22,7 @@ from valve_sim.nodes.profile_playing import ProfileSettings
 from valve_sim.nodes.settings import IdentificationSettings, MonitorNodeSettings
 from valve_sim.nodes.topics import Topic
 from valve_sim.nodes.valve_parameters import ValveSettings
-from valve_sim.recordings.table_reading import OWN_COLUMNS
+from valve_sim.recordings.layout import OWN_COLUMNS
 from valve_sim.station import tables as station
 
 _TOPICS: Final = {
