@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-
 from identification.live_strokes import LiveStroke, LiveValve
+
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.monitoring.commissioning import Commissioning
 from valve_sim.identification.monitoring.findings import StrokeState, Unusable

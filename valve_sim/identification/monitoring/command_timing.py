@@ -129,7 +129,7 @@ class CommandScatter:
 
     @property
     def latest(self) -> float:
-        """s by which the samples of a stroke may come in late; a driver that sends them in batches is known by then."""
+        """Seconds by which samples of a stroke may come in late; a driver that sends them in batches is known by then."""
         return max(LATEST, WIDER_SCATTER * self.arrivals if self.arrivals > 0.0 else 0.0)
 
     def _with_mean(self, spread: float) -> float:

@@ -34,6 +34,7 @@ from valve_sim.identification.monitoring.line_pressure import LinePressure, unkn
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.model import Phase, Reading, SimulationError, Stepper, Valve
+from valve_sim.recordings import Trace
 from valve_sim.recordings.strokes import begins_stroke
 
 LEAD: Final = 0.25

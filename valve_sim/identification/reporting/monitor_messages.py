@@ -109,9 +109,8 @@ def remark_words(remark: Remark) -> str:
 
 def not_judged_words(report: StrokeReport) -> str:
     """That a stroke was not compared with the baseline, and why."""
-    return f"stroke {report.record.number} is not judged" + (
-        f": {remark_words(report.remark)}" if report.remark else ""
-    )
+    words = "" if report.remark is None else remark_words(report.remark)
+    return f"stroke {report.record.number} is not judged: {words}"
 
 
 def finding_words(finding: FaultFinding) -> str:
