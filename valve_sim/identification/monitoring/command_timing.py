@@ -129,7 +129,7 @@ class CommandScatter:
 
     @property
     def latest(self) -> float:
-        """Seconds by which samples of a stroke may come in late; a driver that sends them in batches is known by then."""
+        """Seconds by which samples may come in late; more of a driver that was commissioned sending them in batches."""
         return max(LATEST, WIDER_SCATTER * self.arrivals if self.arrivals > 0.0 else 0.0)
 
     def _with_mean(self, spread: float) -> float:
