@@ -183,8 +183,8 @@ class DataTable:
 
     def _are_stamps(self, places: Sequence[int], axis: TimeAxis) -> bool:
         """Whether columns hold dates or times of day."""
-        first = [self._cells(place)[:1] for place in places]
-        return bool(axis.form) or any(kind_of(cell) == "date" for cells in first for cell in cells if cell)
+        cells = [cell for place in places for cell in self._cells(place, 1) if cell]
+        return bool(axis.form) or any(kind_of(cell) == "date" for cell in cells)
 
     def _seconds(self, places: Sequence[int], axis: TimeAxis) -> tuple[Array, float]:
         """Times of such columns: (n,) s, and since when."""
@@ -205,8 +205,8 @@ class DataTable:
             "correct the line or take it out"
         )
 
-    def _cells(self, place: int) -> list[str | None]:
-        """The cells of a column as text; None where there is none."""
+    def _cells(self, place: int, most: int | None = None) -> list[str | None]:
+        """The first cells of a column, or all, as text; None where there is none."""
         raise NotImplementedError
 
 
