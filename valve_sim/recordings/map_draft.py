@@ -368,7 +368,23 @@ def _time_line(table: DataTable) -> tuple[list[str], list[Series]]:
     series = table_series(table, {name: values for name, values in columns.items() if name not in axis.columns})
     steps = np.diff(table.row_times(axis).times)
     rate = 1.0 / float(np.median(steps[steps > 0.0]))
-    return [f"# {rate:.6g} rows a second; {reason}", f"time: {_yaml(entry)}"], series
+    lines = [f"# {rate:.6g} rows a second; {reason}", f"time: {_yaml(entry)}"]
+    if len(axis.columns) == 1 and (taken := columns.get(axis.columns[0])) is not None:
+        lines += [
+            f"# CHECK: {name} has steps of its own: if it is the time of columns beside it, export all by one clock"
+            for name, own in columns.items()
+            if name != axis.columns[0] and _is_another_clock(own, taken)
+        ]
+    return lines, series
+
+
+def _is_another_clock(values: Array, taken: Array) -> bool:
+    """Whether a column grows by equal steps, as times do, from where a column of times begins, but by other ones."""
+    seen = np.isfinite(values)
+    steps, usual = np.diff(values[seen]), float(np.median(np.diff(taken)))
+    if len(steps) < MOST_LEVELS or not np.ptp(steps) < 0.01 * abs(float(steps.mean())) or (steps == 1.0).all():
+        return False
+    return bool(values[seen][0] == taken[0] and abs(float(steps.mean()) - usual) > 0.01 * usual)
 
 
 def _refuse_one_value_a_row(table: DataTable, names: Iterable[str]) -> None:
