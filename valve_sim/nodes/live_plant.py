@@ -150,7 +150,7 @@ class PlantParameters:
 class LivePlant(LiveMachine[MachineStepper]):
     """A live machine that is of a plant file."""
 
-    rests = "the machine begins anew, at 0 V"
+    rests = "the machine starts again, at 0 V"
 
     def __init__(self, plant: NodePlant, numbers: Mapping[str, float], **options: float) -> None:
         super().__init__(**options)

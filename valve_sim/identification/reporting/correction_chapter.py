@@ -23,11 +23,11 @@ from valve_sim.identification.reporting.units import in_unit, quantity
 LISTED: Final = 12
 """Most conditions that are told."""
 SEEN: Final = 1.05
-"""Factor between errors, below which nothing is said of it: another set that was fitted predicts as well."""
+"""Another set predicts as well if its error is larger by less than this factor; the report does not mention it."""
 FULL: Final = 0.9
 """Of the declared stroke: a lift that goes as far is full."""
 IN_REACH: Final = 1.2
-"""Error of the corrected model over the noise, up to which nothing is said to be left."""
+"""Error of the corrected model over the noise, up to which the report says that only noise is left."""
 
 
 def correction_section(diagnosis: Diagnosis) -> Chapter:

@@ -70,7 +70,7 @@ OUTDONE: Final = "No force over position, velocity or time alone explains the da
 def diagnosis_document(
     diagnosis: Diagnosis, folder: Path | None = None, options: str = "", provenance: str = ""
 ) -> doc.Document:
-    """All that is said of a diagnosis.
+    """The whole report of a diagnosis.
 
     Errors are in `unit`, the one in which people read the response: µm of a position, mA of a current, N of a force. Of
     a position they also stand under the names `noise_um` and `rmse_um`, of a current under `noise_ma` and `rmse_ma`.
