@@ -159,7 +159,7 @@ def test_a_deviation_inside_its_own_error_is_none() -> None:
     tight = loose._replace(stderr=20.0, spread=0.5)
     assert out_of_tolerance([loose]) == [] and out_of_tolerance([tight]) == ["spring_rate"]
     assert "tolerances" not in amount_words(loose)
-    assert amount_words(loose).startswith("1264 ± 666 N/m, which does not differ from the declared 2000")
+    assert amount_words(loose).startswith("1264 ± 666 N/m, which agrees with the declared 2000")
     assert amount_words(tight) == "1264 ± 20 N/m, not 2000: 18.4 tolerances"
     assert amount_words(loose) in summary_words([loose])
     assert not any(block.style == "doubt" for block in declared_section([loose]).blocks if isinstance(block, Words))
