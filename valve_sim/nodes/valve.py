@@ -48,10 +48,10 @@ def valve_node(sections: Sequence[tuple[str, Section]]) -> ValveNode:
         place = sources_of(sections, name).get("plant", "command line")
         path = ValveSettings.rows()["plant"].check(node.get_parameter("plant").value, f"{place}: plant")
         if path:
-            from valve_sim.nodes.live_plant import LivePlant, NodePlant, PlantParameters
+            from valve_sim.nodes.live_plant import LivePlant, NodePlant
 
-            table = PlantParameters(plant := NodePlant(path))
-            return ValveNode(node, sections, table, table.numbers, partial(LivePlant, plant))
+            plant = NodePlant(path)
+            return ValveNode(node, sections, plant, plant.numbers, partial(LivePlant, plant))
     return ValveNode(node, sections, ValveSettings, partial(valve_of, source=name), LiveValve)
 
 
