@@ -127,8 +127,8 @@ class DataTable:
             row = int(np.argmax(steps < 0)) + 1
             raise TableError(
                 f"{self.path}: {self.place(row)}: time {where} runs backwards, {times[row]:.9g} s after "
-                f"{times[row - 1]:.9g} s; sort the rows, cut the file where the logger began anew, or name another "
-                "column"
+                f"{times[row - 1]:.9g} s; sort the rows, cut the file where the logger started again, or name "
+                "another column"
             )
         kept = np.concatenate([[True], steps > 0])
         repeated = int((~kept).sum())

@@ -174,6 +174,13 @@ class StrokeMonitor:
         """Whether commands' times scatter too much to score delays."""
         return self._scatter is not None and self._level() >= UNINFORMATIVE
 
+    @property
+    def state(self) -> StrokeState:
+        """What it does with strokes now."""
+        if self.commissioning is None:
+            return StrokeState.COMMISSIONING
+        return StrokeState.TIMING_UNCERTAIN if self.is_timing_uncertain else StrokeState.WATCHING
+
     def _level(self) -> float:
         """The standard deviation of commands' times that scores are computed with, s."""
         assert self.commissioning is not None
