@@ -20,7 +20,10 @@ Array = NDArray[np.float64]
 MOST_REPEATED: Final = 20
 """Rows, of which one may have the time of the row before: logged twice, that is. More do not know their time."""
 _EPOCH_DAY: Final = 719_163
-"""The number of 1970-01-01."""
+_EXCEL_EPOCH: Final = 25_569
+"""The number of 1970-01-01, in Python and in a spreadsheet."""
+EXCEL_DAYS: Final = (2e4, 8e4)
+"""Days since 1899, of 1954 to 2119: a spreadsheet's dates as numbers."""
 PARTS: Final = {
     "ns": re.compile(r"(.*[^a-z])?(ns|nsecs?|nano.*)", re.IGNORECASE),
     "us": re.compile(r"(.*[^a-z])?([uµ]s|usecs?|micro.*)", re.IGNORECASE),
@@ -145,7 +148,8 @@ class DataTable:
         units = [self._unit(axis, number, self.names[place]) for number, place in enumerate(places)]
         parts = [self._numbers(place) for place in places]
         if len(parts) == 1:
-            return units[0] * parts[0], 0.0
+            is_calendar = units[0] == DAY and len(parts[0]) and EXCEL_DAYS[0] < parts[0][0] < EXCEL_DAYS[1]
+            return units[0] * parts[0], -DAY * _EXCEL_EPOCH if is_calendar else 0.0
         origin = float(parts[0][0])
         return units[0] * (parts[0] - origin) + units[1] * parts[1], units[0] * origin
 

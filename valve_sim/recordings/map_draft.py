@@ -13,7 +13,7 @@ from valve_sim.files.channels import CHANNELS, SIGNALS, UNITS
 from valve_sim.files.data_tables import TABLE_SUFFIXES, open_table
 from valve_sim.files.entries import Entries
 from valve_sim.files.recording_map import MapError, TimeAxis, map_from, time_axis
-from valve_sim.files.tables import MOST_REPEATED, PARTS, DataTable, TableError
+from valve_sim.files.tables import EXCEL_DAYS, MOST_REPEATED, PARTS, DataTable, TableError
 from valve_sim.model.errors import ValveError
 from valve_sim.recordings.map_series import Series, bag_series, table_series
 from valve_sim.recordings.reading import read_trace
@@ -53,8 +53,6 @@ FORMS = tuple(
 """Dates that are tried beside ISO and German ones."""
 NANOSECONDS = (1e6, 1e9)
 """Between which the largest lies of a recording that lasts longer than a millisecond."""
-EXCEL_DAYS = (2e4, 8e4)
-"""Days since 1899, of 1954 to 2119: a spreadsheet's dates as numbers."""
 
 
 class Guess(NamedTuple):
