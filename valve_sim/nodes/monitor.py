@@ -81,7 +81,6 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
         self._isolation = FaultIsolation(self._tell)
         self._state_told = ""
         self._last_report: StrokeReport | None = None
-        self._incomplete = 0
         self._is_heard = False
         self._monitor_thread = MonitorThread(
             self._strokes, prepare=self._prepare, report=self._report, isolate=self._isolate, forget=self._forget,
@@ -162,7 +161,7 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
         if stamps := self._live.stamps.look(is_simulated=self._clock.is_simulated):
             self._node.get_logger().warning(stamps, throttle_duration_sec=BETWEEN_REMINDERS)
         wanted, last = self._settings.commissioning_strokes, self._last_report
-        lost = self._monitor_thread.lost + self._incomplete
+        lost = self._monitor_thread.lost
         not_judged = not_judged_words(last) if last is not None and last.is_incomplete else ""
         return (
             health_status(self._live.segmenter.fault, self._strokes, last, wanted, self._isolation.found),
@@ -184,7 +183,7 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
 
     def _report(self, report: StrokeReport) -> None:
         self._last_report = report
-        self._incomplete += report.is_incomplete
+        self._live.input.incomplete += report.is_incomplete
         self._stroke_report.publish(self._diagnostics([stroke_status(report, self._valve)], report.record.stamp))
         self._keep()
         wanted = self._settings.commissioning_strokes

@@ -403,7 +403,10 @@ class InputCount:
         self.samples = 0
         self.commands = 0
         self.rejected = 0
+        self.incomplete = 0
+        """Strokes that were not judged because messages are missing or late."""
         self._why = ""
+        self._lost_before = 0
         self._looked_at = math.nan
         self._samples_before = 0
         self._rejected_before = 0
@@ -420,7 +423,7 @@ class InputCount:
         """Whether samples and commands arrive and can be used; counts since the last call.
 
         Args:
-            now: s of a monotonic clock. lost: strokes, in all, that were not judged for lack of time, or of messages.
+            now: s of a monotonic clock. lost: strokes, in all, that were not judged for lack of time.
             waiting_for: what is still missing, or empty. unheard: publishers of commands of incompatible QoS.
             stamps: what `StampCheck` says. not_judged: that the last stroke was not, for lack of messages; or empty.
         """
@@ -429,25 +432,28 @@ class InputCount:
             self._last_sample = now if fresh else math.nan
         rate = fresh / (now - self._looked_at) if now > self._looked_at else math.nan
         self._looked_at, self._samples_before, self._rejected_before = now, self.samples, self.rejected
-        silence = now - self._last_sample
+        silence, lost_now, self._lost_before = now - self._last_sample, lost - self._lost_before, lost
         values = {
             "samples": str(self.samples),
             "commands": str(self.commands),
             "rate (Hz)": number_words(rate, ".1f"),
             "rejected": str(self.rejected),
-            "strokes not judged": str(lost),
+            "strokes not judged": str(lost + self.incomplete),
         }
-        if stamps:
-            return Status("input", Level.WARN, stamps, values)
-        if waiting_for:
-            words = [f"waiting for {waiting_for}"]
-            words += [f"{self.rejected} rejected, the last: {self._why}"] if self.rejected else []
-            words += [unheard_words(unheard)] if unheard else []
-            return Status("input", Level.WARN, "; ".join(words), values)
-        if rejected_now:
-            return Status("input", Level.WARN, f"{rejected_now} rejected, the last: {self._why}", values)
-        if silence > SILENT_SECONDS:
-            return Status("input", Level.WARN, f"no sample for {silence:.1f} s", values)
-        if unheard:
-            return Status("input", Level.WARN, unheard_words(unheard), values)
-        return Status("input", Level.WARN if not_judged else Level.OK, not_judged or "arrives", values)
+        rejections = f"rejected, the last: {self._why}"
+        waits = [
+            f"waiting for {waiting_for}",
+            *([f"{self.rejected} {rejections}"] if self.rejected else ()),
+            *([unheard_words(unheard)] if unheard else ()),
+        ]
+        doubts = (
+            stamps,
+            "; ".join(waits) if waiting_for else "",
+            f"{rejected_now} {rejections}" if rejected_now else "",
+            f"no sample for {silence:.1f} s" if silence > SILENT_SECONDS else "",
+            unheard_words(unheard),
+            f"{lost_now} strokes are not judged, for lack of time" if lost_now else "",
+            not_judged,
+        )
+        doubt = next(filter(None, doubts), "")
+        return Status("input", Level.WARN if doubt else Level.OK, doubt or "arrives", values)
