@@ -1,16 +1,13 @@
 """Faults that a review found in diagnoses, by their numbers in it: none of them may come back.
 
-Each is a property that any decision ought to have, shown on the smallest machine that broke it. Those which are not
-here are guarded where the property is at home: 1 by selection/test_prediction, 3 by selection/test_detection_limits,
-4 by selection/test_invariants, 7 and 8 by estimation/test_evidence and selection/test_posterior, 31 by
-diagnosis/test_budget.
+Each is a property that any decision ought to have, shown on the smallest machine that broke it. The others of that
+review are guarded where the property is at home: in fit and in diagnosis/test_budget.
 """
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -74,15 +71,6 @@ def test_what_explains_nearly_all_is_named_beside_a_remainder_that_held_out_data
     found = diagnose_plant(train, other)
     assert found.before.holdout_rmse > 8.0 * found.after.holdout_rmse
     assert (found.verdict.kind, found.verdict.effects) == ("effects", ("strong",))
-
-
-@pytest.mark.long
-def test_an_effect_that_has_grown_is_named() -> None:
-    """Fault 22."""
-    declared = replace(DECLARED, effects={"coulomb_friction": {"force": 0.1}})
-    grown = recorded(COARSE, effects={"coulomb_friction": {"force": 0.3}})
-    found = diagnosed(grown, declared, ["coulomb_friction", "constant_force"])
-    assert "coulomb_friction" in named(found)
 
 
 def test_a_wrong_declared_value_gets_no_confident_other_name() -> None:

@@ -322,7 +322,7 @@ UNFIT_TABLES = {
     "missing column": (
         TABLE.replace("CH2", "CH9"),
         lambda text: text,
-        r"lab.yaml: position: column CH9 is not in .*scope.csv; it has Time, CH1, CH2, CH3",
+        r"lab.yaml: position.column: column CH9 is not in .*scope.csv; it has Time, CH1, CH2, CH3",
     ),
     "backwards": (TABLE, lambda text: row(text, 100, "-0,5;0;0;0"), "line 100: time column Time runs backwards"),
     "text": (TABLE, lambda text: row(text, 77, "1;0;ERROR 7;0"), "line 77: column CH2: found 'ERROR 7'"),
@@ -459,6 +459,22 @@ def test_a_first_map_takes_no_rate_out_of_the_air(repeated: int, digits: int, tm
     (tmp_path / "map.yaml").write_text("time: {rate: 20000}\ncommand: 2\nposition: {column: 3, unit: mm}\n")
     summary = describe(read_trace(path, None, load_map(tmp_path / "map.yaml")))
     assert summary.timed_by == f"the rate of 20000 Hz in {tmp_path / 'map.yaml'}"
+
+
+def test_a_first_map_knows_one_value_a_row_and_a_column_of_other_times(tmp_path: Path, made: Recording) -> None:
+    held = made.volts[np.maximum(np.searchsorted(made.command_times, made.times, side="right") - 1, 0)]
+    rows = list(zip(made.times.tolist(), held.tolist(), (1e3 * made.pilot_position).tolist(), strict=True))
+    path = tmp_path / "log.csv"
+    path.write_text("time,name,value\n" + "".join(f"{t:.6f},u,{u}\n{t:.6f},lift,{x:.6f}\n" for t, u, x in rows))
+    with pytest.raises(TraceError, match=r"the value of one quantity, which column name names \(u, lift\); export"):
+        draft_map(path, VALVE, "valve-sim map")
+    count = len(rows)
+    late = ["" if 2 * row >= count else f"{rows[2 * row][0]:.6f},{rows[2 * row][1]}" for row in range(count)]
+    path.write_text(
+        "t,lift,t_u,u\n" + "".join(f"{t:.6f},{x:.6f},{own or ','}\n" for (t, _, x), own in zip(rows, late, strict=True))
+    )
+    draft = draft_map(path, VALVE, "valve-sim map")
+    assert draft.count("steps of its own") == 1 and "# CHECK: t_u has steps of its own" in draft
 
 
 DRAFTED = {

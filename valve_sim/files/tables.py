@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.files.cells import DAY, Stamp
+from valve_sim.files.cells import DAY, Stamp, kind_of, number_in, quantity_in, stamp_in
 from valve_sim.files.channels import UNITS
 from valve_sim.files.recording_map import TimeAxis
 from valve_sim.model.errors import ValveError
@@ -20,7 +20,10 @@ Array = NDArray[np.float64]
 MOST_REPEATED: Final = 20
 """Rows, of which one may have the time of the row before: logged twice, that is. More do not know their time."""
 _EPOCH_DAY: Final = 719_163
-"""The number of 1970-01-01."""
+_EXCEL_EPOCH: Final = 25_569
+"""The number of 1970-01-01, in Python and in a spreadsheet."""
+EXCEL_DAYS: Final = (2e4, 8e4)
+"""Days since 1899, of 1954 to 2119: a spreadsheet's dates as numbers."""
 PARTS: Final = {
     "ns": re.compile(r"(.*[^a-z])?(ns|nsecs?|nano.*)", re.IGNORECASE),
     "us": re.compile(r"(.*[^a-z])?([uµ]s|usecs?|micro.*)", re.IGNORECASE),
@@ -53,7 +56,8 @@ class DataTable:
     Attributes:
         path: the file, for messages. names: of the columns, in the file's order.
         units: column to unit, where the file says one. others: what else its head calls a column, and its place.
-        findings: what of the file was left out, a line each.
+        findings: what of the file was left out, a line each. interval: s from row to row, as the head says it, and
+            where; 0 where it does not.
     """
 
     def __init__(
@@ -62,6 +66,7 @@ class DataTable:
         self.path, self.names, self.units = path, tuple(names), dict(units)
         self.others = {name: place for name, place in (others or {}).items() if name not in self.names}
         self.findings: tuple[str, ...] = ()
+        self.interval: tuple[float, str] = (0.0, "")
 
     def has(self, name: str) -> bool:
         """Whether there is a column of this name or number, from 1 on."""
@@ -75,6 +80,10 @@ class DataTable:
             TableError: there is no such column, or one of its cells is not a number.
         """
         return self._numbers(self._place(name))
+
+    def texts(self, name: str) -> list[str]:
+        """The cells of a column as they are written, empty where there is none."""
+        return [cell or "" for cell in self._cells(self._place(name))]
 
     def _place(self, name: str) -> int:
         if not self.has(name):
@@ -121,8 +130,8 @@ class DataTable:
             row = int(np.argmax(steps < 0)) + 1
             raise TableError(
                 f"{self.path}: {self.place(row)}: time {where} runs backwards, {times[row]:.9g} s after "
-                f"{times[row - 1]:.9g} s; sort the rows, cut the file where the logger began anew, or name another "
-                "column"
+                f"{times[row - 1]:.9g} s; sort the rows, cut the file where the logger started again, or name "
+                "another column"
             )
         kept = np.concatenate([[True], steps > 0])
         repeated = int((~kept).sum())
@@ -139,7 +148,8 @@ class DataTable:
         units = [self._unit(axis, number, self.names[place]) for number, place in enumerate(places)]
         parts = [self._numbers(place) for place in places]
         if len(parts) == 1:
-            return units[0] * parts[0], 0.0
+            is_calendar = units[0] == DAY and len(parts[0]) and EXCEL_DAYS[0] < parts[0][0] < EXCEL_DAYS[1]
+            return units[0] * parts[0], -DAY * _EXCEL_EPOCH if is_calendar else 0.0
         origin = float(parts[0][0])
         return units[0] * (parts[0] - origin) + units[1] * parts[1], units[0] * origin
 
@@ -157,19 +167,54 @@ class DataTable:
             "time: {column: [..., ...], unit: [s, ns]}"
         )
 
+    def _numbers(self, place: int) -> Array:
+        """The numbers of a column; of dates, s since midnight before the first one."""
+        cells = self._cells(place)
+        values = [None if cell is None else number_in(cell) for cell in cells]
+        if None not in values:
+            return np.array(values, dtype=np.float64)
+        quantities = [
+            (value, "") if value is not None else quantity_in(cell or "")
+            for cell, value in zip(cells, values, strict=True)
+        ]
+        units = {own[1] for own in quantities if own and np.isfinite(own[0])}
+        if None not in quantities and len(units) == 1:
+            return np.array([own[0] for own in quantities if own], dtype=np.float64)
+        stamps = [stamp_in(cell) if cell else None for cell in cells]
+        if None not in stamps:
+            return _since_the_first_day([stamp for stamp in stamps if stamp])[0]
+        raise self._is_none(place, (stamps if stamps[0] else values).index(None), "number")
+
     def _are_stamps(self, places: Sequence[int], axis: TimeAxis) -> bool:
         """Whether columns hold dates or times of day."""
-        return False
+        cells = [cell for place in places for cell in self._cells(place, 1) if cell]
+        return bool(axis.form) or any(kind_of(cell) == "date" for cell in cells)
 
     def _seconds(self, places: Sequence[int], axis: TimeAxis) -> tuple[Array, float]:
         """Times of such columns: (n,) s, and since when."""
+        stamps = []
+        for row, cells in enumerate(zip(*(self._cells(place) for place in places), strict=True)):
+            stamp = None if None in cells else stamp_in(" ".join(cell for cell in cells if cell), axis.form)
+            if stamp is None:
+                form = f"time as {axis.form}" if axis.form else "date or a time of day, or its form in time: format:"
+                raise self._is_none(places[0], row, form)
+            stamps.append(stamp)
+        return _since_the_first_day(stamps)
+
+    def _is_none(self, place: int, row: int, expected: str) -> TableError:
+        cell = self._cells(place)[row]
+        found = "nothing" if cell is None else repr(cell[:40])
+        return TableError(
+            f"{self.path}: {self.place(row)}: column {self.names[place]}: found {found}, expected a {expected}; "
+            "correct the line or take it out"
+        )
+
+    def _cells(self, place: int, most: int | None = None) -> list[str | None]:
+        """The first cells of a column, or all, as text; None where there is none."""
         raise NotImplementedError
 
-    def _numbers(self, place: int) -> Array:
-        raise NotImplementedError
 
-
-def since_the_first_day(stamps: Sequence[Stamp]) -> tuple[Array, float]:
+def _since_the_first_day(stamps: Sequence[Stamp]) -> tuple[Array, float]:
     """(n,) s since midnight before the first stamp, and when that was, s since 1970; 0 where nothing says the day.
 
     Without days, each time that they begin anew a period is over.

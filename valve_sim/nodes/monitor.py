@@ -19,7 +19,7 @@ from valve_sim.identification.monitoring.findings import Occasion, Prediction, S
 from valve_sim.identification.monitoring.memory import load_commissioning, save_commissioning
 from valve_sim.identification.monitoring.scores import Baseline
 from valve_sim.identification.monitoring.stroke_monitor import StrokeMonitor, StrokeReport
-from valve_sim.identification.reporting.monitor_messages import occasion_words, told_finding
+from valve_sim.identification.reporting.monitor_messages import not_judged_words, occasion_words, told_finding
 from valve_sim.model import ParameterError
 from valve_sim.nodes import topics
 from valve_sim.nodes.diagnostics import Level, Status
@@ -38,7 +38,7 @@ from valve_sim.nodes.monitor_work import (
     model_status,
     stroke_status,
 )
-from valve_sim.nodes.realtime import NANOSECONDS, SubscriberCounts
+from valve_sim.nodes.realtime import NANOSECONDS
 from valve_sim.nodes.settings import MonitorNodeSettings
 from valve_sim.nodes.threads import Repeating
 from valve_sim.nodes.valve_parameters import valve_of
@@ -111,9 +111,6 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
         interface = self._interface
         self._predicted = interface.publisher("~/predicted/joint_states")
         self._residual = interface.publisher("~/residual")
-        self._subscribers = SubscriberCounts(
-            self._predicted.get_subscription_count, self._residual.get_subscription_count
-        )
         self._stroke_report = interface.publisher("~/stroke_report")
         self._finding = interface.publisher("~/finding")
         self._messages = ReadingMessages(self._settings.frame_id)
@@ -141,7 +138,9 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
         if self._next_message - pause <= stamp < self._next_message:
             return
         self._next_message = stamp + pause
-        hears_predicted, hears_residual = self._subscribers.look(stamp)
+        hears_predicted, hears_residual = (
+            bool(topic.get_subscription_count()) for topic in (self._predicted, self._residual)
+        )
         self._is_heard = hears_predicted or hears_residual
         if hears_predicted:
             self._predicted.publish(self._messages.joint_states(stamp, prediction.reading))
@@ -161,11 +160,13 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
         unheard = self._inputs.incompatible_publishers()
         if stamps := self._live.stamps.look(is_simulated=self._clock.is_simulated):
             self._node.get_logger().warning(stamps, throttle_duration_sec=BETWEEN_REMINDERS)
-        wanted = self._settings.commissioning_strokes
+        wanted, last = self._settings.commissioning_strokes, self._last_report
+        lost = self._monitor_thread.lost
+        not_judged = not_judged_words(last) if last is not None and last.is_incomplete else ""
         return (
-            health_status(self._live.segmenter.fault, self._strokes, self._last_report, wanted, self._isolation.found),
+            health_status(self._live.segmenter.fault, self._strokes, last, wanted, self._isolation.found),
             model_status(self._strokes),
-            self._live.input.status(self._clock.elapsed(), self._monitor_thread.lost, waiting_for, unheard, stamps),
+            self._live.input.status(self._clock.elapsed(), lost, waiting_for, unheard, stamps, not_judged),
             isolation_status(self._isolation),
         )
 
@@ -182,6 +183,7 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
 
     def _report(self, report: StrokeReport) -> None:
         self._last_report = report
+        self._live.input.incomplete += report.is_incomplete
         self._stroke_report.publish(self._diagnostics([stroke_status(report, self._valve)], report.record.stamp))
         self._keep()
         wanted = self._settings.commissioning_strokes
