@@ -69,15 +69,18 @@ CHANGE_SCALE: Final = 0.5
 """Scale of the size by which a parameter of an effect changes over the strokes, relative to its mean."""
 FROM_NOTHING: Final = (-1.0, 4.0)
 """Bounds of that change: an effect may begin in a recording, and be five times its mean."""
+FACTOR_SCALE: Final = 0.02
+"""The same scale of a factor, such as a gain, which is 1 where nothing is wrong."""
 
 
 def changing(effect: str) -> dict[str, Varying]:
-    """What may change over the strokes of an effect, by `<effect>/<parameter>`: what switches it, where off is 0."""
-    return {
-        name: Varying(name, CHANGE_SCALE, FROM_NOTHING)
-        for own in CATALOGUE[effect].parameters
-        if own.off == 0.0 and own.lower == 0.0 and (name := f"{effect}/{own.name}")
+    """What may change of an effect over the strokes, by `<effect>/<parameter>`: what switches it, if it has a size."""
+    switches = {f"{effect}/{own.name}": own for own in CATALOGUE[effect].parameters}
+    # A force of either sign has no mean that it could be relative to.
+    sized = {
+        name: Varying(name, CHANGE_SCALE, FROM_NOTHING) for name, own in switches.items() if own.off == own.lower == 0
     }
+    return sized | {name: Varying(name, FACTOR_SCALE) for name, own in switches.items() if own.off == 1.0}
 
 
 def clock_offset(index: int, channels: Channels) -> Nuisance:
