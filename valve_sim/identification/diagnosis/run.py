@@ -58,7 +58,7 @@ NOISIER: Final = 1.5
 """Times what the best model leaves, beyond which the noise that was taken from the largest one is too much of it."""
 WORSE: Final = 1.05
 """Times the error of separate strokes, from which a correction makes them worse and is not applied."""
-LISTED: Final = 30
+LISTED: Final = 12
 """Most candidates in the report."""
 
 

@@ -434,14 +434,34 @@ class Fitter:
             return Columns()
         return columns_of(self.problem.plant, values, modes, self.problem.columns.changing).held_at(self._held)
 
-    def with_change(self, names: Set, fit: Descended, effect: str) -> Descended | None:
-        """A fit of a set again, an effect of it differing from stroke to stroke; None where that cannot be."""
+    def _lets_change(self, effect: str) -> bool:
+        """Let an effect differ from stroke to stroke from now on, if there are strokes enough."""
         strokes = {own.during for own in changes_of(self.problem.plant, (effect,))}
         columns = self.problem.columns
         if len(strokes) < FEWEST or effect in columns.changing:
-            return None
+            return False
         self.use(replace(columns, changing=(*columns.changing, effect)))
-        return self.learn(names, fit)
+        values = {} if self.base is None else self.base.values
+        self.use(self.columns_with(values, columns.modes))
+        return True
+
+    def gain_by_change(self, names: Set, fit: Descended, effect: str) -> float:
+        """By how much the criterion falls, to first order, if an effect of a set differs from stroke to stroke."""
+        before = self.errors
+        try:
+            if not self._lets_change(effect):
+                return 0.0
+            model = self.model(names)
+            z = model.at(fit.gaussian.model.named(fit.gaussian.z))
+            return Gaussian(model, z, model.linearise(z), self.sizes).step()[1]
+        except (SimulationError, np.linalg.LinAlgError):
+            return 0.0
+        finally:
+            self.take(before)
+
+    def with_change(self, names: Set, fit: Descended, effect: str) -> Descended | None:
+        """A fit of a set again, an effect of it differing from stroke to stroke; None where that cannot be."""
+        return self.learn(names, fit) if self._lets_change(effect) else None
 
     def is_orderly(self, tried: Tried) -> bool:
         """Whether an effect that differs from stroke to stroke follows them: free sizes would imitate too much."""

@@ -249,8 +249,8 @@ def _in_words(name: str, change: Change) -> str:
         return f"{_what(name)} {way} over the strokes {share if begins > NOTHING else 'from nothing'}"
     if change.kind == "some":
         return f"{_what(name)} acts in strokes {', '.join(str(own + 1) for own in change.strokes)} alone"
-    with_stroke = f"with stroke {change.strokes[0] + 1}"
-    return f"{_what(name)} begins {with_stroke}" if begins <= NOTHING else f"{_what(name)} {way} {share} {with_stroke}"
+    happens = "begins" if begins <= NOTHING else "ends" if 1.0 + change.last <= NOTHING else f"{way} {share}"
+    return f"{_what(name)} {happens} with stroke {change.strokes[0] + 1}"
 
 
 def _what(number: str) -> str:

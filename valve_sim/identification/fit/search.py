@@ -61,6 +61,8 @@ WORTH_LEARNING: Final = 1.0
 WORTH_A_CHANGE: Final = 5.0
 """Gain in ln p over all other sets, from which an effect changes over the strokes: odds of one to a hundred and fifty
 before the data are asked."""
+CHANGES: Final = 5
+"""Effects, which by a change over the strokes would explain most to first order, that are fitted so."""
 WORTH_KEEPING: Final = 0.1
 """Smallest difference of the criterion by which a fit counts as better."""
 TRIAL: Final = 6
@@ -392,9 +394,10 @@ class Search:
     def _change_over_strokes(self) -> None:
         """Let the effect differ from stroke to stroke that then follows them, leaves nothing, and is most probable."""
         fitter, alone = self.fitter, [names for names in self.tried if len(names) == 1]
+        gains = {names: fitter.gain_by_change(names, self.tried[names].fit, names[0]) for names in alone}
         most = max(map(self.log_weight, self.tried)) + WORTH_A_CHANGE
         before, best = fitter.errors, None
-        for names in alone:
+        for names in sorted((names for names in alone if gains[names] > 0.0), key=lambda own: -gains[own])[:CHANGES]:
             self._say(f"{words(names)} that changes over the strokes", self._done)
             fit = fitter.with_change(names, self.tried[names].fit, names[0])
             found = None if fit is None else fitter.weighed(names, fit)
