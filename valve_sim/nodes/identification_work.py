@@ -25,7 +25,7 @@ from valve_sim.identification.diagnosis.identify import Identification, identify
 from valve_sim.identification.fit.declared_values import out_of_tolerance
 from valve_sim.identification.fit.findings import leaves_more_than_noise
 from valve_sim.identification.fit.intervals import Interval
-from valve_sim.identification.plants.valve import DAMPINGS, dampings_of
+from valve_sim.identification.plants.valve_model import DAMPINGS, dampings_of
 from valve_sim.identification.plants.valve_sensors import response_to
 from valve_sim.identification.reporting.identification_document import identification_document
 from valve_sim.identification.reporting.units import measured

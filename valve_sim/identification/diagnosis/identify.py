@@ -31,8 +31,8 @@ from valve_sim.identification.plants.protocol import (
     primary_channels,
 )
 from valve_sim.identification.plants.stroke_choice import choose_strokes
-from valve_sim.identification.plants.valve import ValvePlant, dampings_of
-from valve_sim.identification.plants.valve_model import GAS_NAMES
+from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.identification.plants.valve_model import GAS_NAMES, dampings_of
 from valve_sim.model import CATALOGUE, DECLARED, ParameterError, Valve
 from valve_sim.model.parameters import UNUSED_BY_ONE_PLUNGER, closest, unused_words
 from valve_sim.model.valve import OF_TWO_PLUNGERS

@@ -64,8 +64,6 @@ from valve_sim.model import CATALOGUE, Drive, Parameter, Tag, Valve
 from valve_sim.model.effects import FORCE_MAP_COEFFICIENTS, FORCE_MAP_VARIABLES, is_damping
 from valve_sim.recordings import Signal, Trace
 
-DAMPINGS: Final = ("pilot_damping", "main_damping")
-"""Declared values that every fit frees, because they are not known beforehand; see `dampings_of`."""
 LOWEST_LEVEL, HIGHEST_LEVEL = 7.5 / 9.0, 14.0 / 9.0
 """Shares of the reference voltage: the range in which such a valve is driven, 7.5 to 14 V where it is 9 V."""
 PULSE_LEVELS: Final = (LOWEST_LEVEL, 1.0, 11.0 / 9.0, HIGHEST_LEVEL)
@@ -84,11 +82,6 @@ takes to open: a clogged orifice was given a twentieth of its standard error."""
 OF_CURRENT: Final[Mapping[str, float]] = {"zero": 2e-3, "scale": 5e-3}
 """Scales of the errors of a current's sensor, as shares of the largest current, where they are not those of a position
 sensor: a clamp or a shunt is good for 0.5 % and 2 mA of 1 A."""
-
-
-def dampings_of(valve: Valve) -> tuple[str, ...]:
-    """The names of the dampings that a valve uses: one plunger has no Phase 1."""
-    return DAMPINGS[1:] if valve.parameters.has_one_plunger else DAMPINGS
 
 
 def volts_at(valve: Valve, levels: Sequence[float], driven: float = math.inf) -> tuple[float, ...]:
@@ -112,7 +105,7 @@ class ValvePlant:
 
     Args:
         traces: the measured data; each has its own clock offset.
-        valve: the declared valve; effects that it has on already stay on as they are, unless freed.
+        valve: the declared valve, whose effects stay on as they are, unless freed; or what is known of its values.
         is_watched: whether the traces are strokes of a valve that is watched, or rows of them. Errors of the recordings
             are then what differs from stroke to stroke, by sizes that are the same in all traces: drift and hum of the
             sensor, and what varies of the valve. The sensor's curve, its mount and the source are as they always were.
@@ -121,12 +114,13 @@ class ValvePlant:
         ParameterError: the traces declare other bandwidths of the position sensor than each other or the valve.
     """
 
-    def __init__(self, traces: Sequence[Trace], valve: Valve, *, is_watched: bool = False) -> None:
+    def __init__(self, traces: Sequence[Trace], valve: Valve | ValveModel, *, is_watched: bool = False) -> None:
         self._is_watched = is_watched
+        known = valve if isinstance(valve, ValveModel) else ValveModel(with_declared_sensor(valve, traces))
+        self._model, valve = known, known.valve
         jumps = valve.parameters.coil_time_constant == 0.0 or "motional_emf" in valve.effects
-        known = [trace if valve.gas is not None else without_pressure(trace) for trace in traces]
-        self.traces = tuple(with_usable_current(trace, jumps=jumps) for trace in known)
-        self._model = ValveModel(with_declared_sensor(valve, traces), dampings_of(valve))
+        seen = [trace if valve.gas is not None else without_pressure(trace) for trace in traces]
+        self.traces = tuple(with_usable_current(trace, jumps=jumps) for trace in seen)
         self._channels = [channel for index, trace in enumerate(self.traces) for channel in channels_of(index, trace)]
 
     @property
@@ -146,23 +140,30 @@ class ValvePlant:
 
     @property
     def base(self) -> Sequence[str]:
-        """The dampings that the valve uses."""
-        return dampings_of(self.valve)
+        """The dampings that the valve uses, but of one that was commissioned."""
+        return self._model.refitted
 
     @functools.cached_property
     def nuisances(self) -> Sequence[Nuisance]:
         """A clock offset for each trace; errors of commands that were read from a voltage, and of a sensor's zero.
 
-        After them the declared values that have a tolerance: of the valve, and so the same in each trace.
+        After them the declared values that have a tolerance: of the valve, and so the same in each trace. Of a
+        commissioned valve an error for each command's stamp, and what commissioning has left open.
         """
+        if (scatter := self._model.scatter) is not None:
+            return (*(stamp._replace(sigma=scatter) for stamp in self._stamps), *self._model.nuisances)
         traces = [(trace, index, self._channels_of(index)) for index, trace in enumerate(self.traces)]
         offsets = [own(index, channels) for _, index, channels in traces for own in (clock_offset, clock_rate)]
         readings = (nuisance for of_trace in traces for nuisance in reading_errors(*of_trace))
         return (*offsets, *readings, *self._model.nuisances)
 
-    @functools.cached_property
+    @property
     def timing_errors(self) -> Sequence[Nuisance]:
         """An error for each command that was recorded as it was sent: the voltage changes later than its stamp says."""
+        return self._stamps if self._model.scatter is None else ()
+
+    @functools.cached_property
+    def _stamps(self) -> tuple[Nuisance, ...]:
         return tuple(
             nuisance
             for index, trace in enumerate(self.traces)
@@ -184,8 +185,11 @@ class ValvePlant:
     def force_maps(self) -> Sequence[ForceMap]:
         """Curves over position, velocity and time, and such curves times v or u².
 
-        None by the outlet's pressure alone: it shows when the plungers have moved, and nothing of how.
+        None by the outlet's pressure alone: it shows when the plungers have moved, and nothing of how. None of a
+        commissioned valve with gas, where each of many derivatives takes another simulation of all.
         """
+        if self._model.scatter is not None and self.valve.gas is not None:
+            return []
         if all(trace.primary_signal == "outlet_pressure" for trace in self.traces):
             return []
         declared = self.valve.parameters
@@ -315,7 +319,7 @@ class ValvePlant:
     @property
     def can_be_thinned(self) -> bool:
         """Whether a sample is the same whichever others are shown: not of a valve with gas, or of a mean of several."""
-        return self.valve.gas is None and not self._averages
+        return self.valve.gas is None and not self._averages and self._model.scatter is None
 
     def thinned(self, kept: Sequence[NDArray[np.intp]]) -> ValvePlant:
         """This plant with some samples of each channel, of which the first is one."""
