@@ -30,32 +30,25 @@ from valve_sim.identification.plants.protocol import (
     Sensor,
 )
 from valve_sim.identification.plants.recording_errors import (
-    IntervalFactors,
+    Recording,
     changing,
     clock_offset,
     clock_rate,
-    drive_with,
-    lateness_with,
     reading_errors,
     stamp_errors,
     supply_errors,
     variations,
     varying_numbers,
-    zero_with,
 )
 from valve_sim.identification.plants.stroke_choice import Kind, stroke_kinds
 from valve_sim.identification.plants.valve_model import ValveModel
-from valve_sim.identification.plants.valve_pieces import Intervals, run_in_pieces, whole_run
-from valve_sim.identification.plants.valve_sensitivities import pieces, sensitivities
+from valve_sim.identification.plants.valve_sensitivities import MovingValve, moving_valve, shown
 from valve_sim.identification.plants.valve_sensors import (
     NO_TIMES,
-    amperes,
-    averaged,
     channels_of,
     contacts,
     fastest_motion,
     followed,
-    predicted,
     with_declared_sensor,
     with_usable_current,
     without_pressure,
@@ -122,6 +115,7 @@ class ValvePlant:
         seen = [trace if valve.gas is not None else without_pressure(trace) for trace in traces]
         self.traces = tuple(with_usable_current(trace, jumps=jumps) for trace in seen)
         self._channels = [channel for index, trace in enumerate(self.traces) for channel in channels_of(index, trace)]
+        self._recordings = self._recorded_errors()
 
     @property
     def valve(self) -> Valve:
@@ -290,9 +284,9 @@ class ValvePlant:
         """
         valve = self._model.simulated(values)
         return {
-            index: followed(valve, trace, drive_with(trace, index, values, self.valve), lateness_with(index, values))
-            for index, trace in enumerate(self.traces)
-            if not trace.has_positions
+            index: followed(valve, own.trace, own.drive(values), own.lateness(values))
+            for index, own in enumerate(self._recordings)
+            if not own.trace.has_positions
         }
 
     def sensitivities(self, values: Mapping[str, float], directions: Sequence[Direction]) -> Sensitivities:
@@ -301,7 +295,11 @@ class ValvePlant:
         Raises:
             SimulationError: the simulation could not be carried to its end.
         """
-        return sensitivities(self._model, self.traces, values, directions, self._factors)
+        at = self._moving(values, directions)
+        if not at.known.any():
+            return Sensitivities([], at.known)
+        found = list(shown(at, self._recordings))
+        return Sensitivities([own.columns for own in found], at.known, [own.shown for own in found])
 
     def pieces(self, values: Mapping[str, float], directions: Sequence[Direction]) -> Iterator[Piece] | None:
         """Prediction and derivatives, piece by piece; None without derivatives, with gas, or where a sensor averages.
@@ -309,7 +307,14 @@ class ValvePlant:
         Raises:
             SimulationError: the simulation could not be carried to its end.
         """
-        return None if self._averages else pieces(self._model, self.traces, values, directions)
+        if self._averages or self.valve.gas is not None:
+            return None  # its pressures are recorded, too, and one of them may drive it
+        at = self._moving(values, directions)
+        return shown(at, self._recordings, is_whole=False) if at.known.all() else None
+
+    def _moving(self, values: Mapping[str, float], directions: Sequence[Direction] = ()) -> MovingValve:
+        has_current = any(trace.coil_current is not None for trace in self.traces)
+        return moving_valve(self._model, values, directions, has_current=has_current)
 
     @property
     def _averages(self) -> bool:
@@ -326,6 +331,7 @@ class ValvePlant:
         same, numbers = copy.copy(self), iter(kept)
         same._channels = [_thinned(channel, own) for channel, own in zip(self._channels, kept, strict=True)]
         same.traces = tuple(_thinned_trace(trace, numbers) for trace in self.traces)
+        same._recordings = same._recorded_errors()
         return same
 
     @functools.cached_property
@@ -354,9 +360,8 @@ class ValvePlant:
             for nuisance in variations(changing(effect), trace, index, self._channels_of(index))
         )
 
-    @functools.cached_property
-    def _factors(self) -> list[IntervalFactors]:
-        return [IntervalFactors(self.valve, trace, index) for index, trace in enumerate(self.traces)]
+    def _recorded_errors(self) -> list[Recording]:
+        return [Recording(trace, index, self.valve) for index, trace in enumerate(self.traces)]
 
     def sensors(self, values: Mapping[str, float]) -> dict[int, Sensor]:
         """The sensors of positions and of the current of each trace; of a valve that is watched, those of positions.
@@ -390,8 +395,10 @@ class ValvePlant:
             # A stroke is two intervals, whenever its recording begins.
             shares = {"scale": 0.0, "bend": 0.0}
             return Sensor(self.valve.parameters.stroke, trace.drive.times[1:2], shares=shares, alike=first)
-        drive, late = drive_with(trace, index, values, self.valve), lateness_with(index, values)
-        meet = contacts(valve, trace, drive, late) if self.valve.gas is None else NO_CONTACTS
+        own = self._recordings[index]
+        meet = (
+            contacts(valve, trace, own.drive(values), own.lateness(values)) if self.valve.gas is None else NO_CONTACTS
+        )
         shares = {"scale": sheet.gain, "bend": sheet.linearity}
         return Sensor(self.valve.parameters.stroke, trace.drive.times, meet, shares)
 
@@ -401,23 +408,7 @@ class ValvePlant:
         Raises:
             SimulationError: the simulation could not be carried to its end.
         """
-        valve = self._model.simulated(values)
-        shown: list[Array] = []
-        for index, trace in enumerate(self.traces):
-            drive, late = drive_with(trace, index, values, self.valve), lateness_with(index, values)
-            factors = self._factors[index].of(values)
-            if factors is None:
-                position, *others = predicted(valve, trace, drive, late)
-            else:
-                run = whole_run(
-                    run_in_pieces(
-                        valve, trace, drive, late, intervals=Intervals(self._factors[index].fields(values), factors)
-                    )
-                )
-                position, others = run.positions, amperes(valve, trace, run.currents)
-            positions = [averaged(trace, position) + zero_with(index, values)] if trace.has_positions else []
-            shown.extend([*positions, *others])
-        return shown
+        return [own.shown for own in shown(self._moving(values), self._recordings)]
 
 
 def _thinned(channel: Channel, kept: NDArray[np.intp]) -> Channel:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
 from typing import Final
 
@@ -85,6 +85,11 @@ class ValveModel:
         if effect in self.valve.effects:
             return self.valve.effects[effect][parameter]
         return CATALOGUE[effect].parameter(parameter).neutral
+
+    def changes(self, name: str, numbers: Set[str]) -> bool:
+        """Whether a declared value, or a parameter of an effect, may change some numbers of the equations."""
+        effect, _, _ = name.partition(".")
+        return not numbers.isdisjoint(CATALOGUE[effect].changes if effect in CATALOGUE else (name,))
 
     def as_declared(self, values: Mapping[str, float]) -> Mapping[str, float]:
         """Values by the names of declared scalars and parameters of effects, in place of what stands for them."""

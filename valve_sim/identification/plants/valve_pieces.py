@@ -15,7 +15,7 @@ import numpy as np
 
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.identification.plants.recording_errors import places_of_fields
-from valve_sim.identification.plants.valve_sensors import NO_TIMES, recorded, run_from_rest
+from valve_sim.identification.plants.valve_sensors import NO_TIMES, recorded, run_from_rest, shown_by
 from valve_sim.model import Drive, Valve
 from valve_sim.model.runs import Directions, Shown
 from valve_sim.recordings import Trace
@@ -25,7 +25,7 @@ SAMPLES: Final = 8192
 
 
 class RunPiece(NamedTuple):
-    """What a piece of a run shows.
+    """What a run, or a piece of it, shows.
 
     Attributes:
         positions, currents: which samples of the recording, of either kind.
@@ -35,35 +35,6 @@ class RunPiece(NamedTuple):
     positions: slice
     currents: slice
     shown: Shown
-
-
-class WholeRun(NamedTuple):
-    """The pieces of a run, put together.
-
-    Attributes:
-        positions: (n,) m. currents: (m,), normalised.
-        of_positions, of_currents: (n, k) and (m, k) derivatives; none where none were asked.
-    """
-
-    positions: Array
-    currents: Array
-    of_positions: Array
-    of_currents: Array
-
-
-def whole_run(pieces: Iterator[RunPiece]) -> WholeRun:
-    """Put pieces together.
-
-    Raises:
-        SimulationError: the simulation could not be carried to its end.
-    """
-    found = list(pieces)
-    return WholeRun(
-        np.concatenate([piece.shown.positions for piece in found]),
-        np.concatenate([piece.shown.currents for piece in found]),
-        np.concatenate([piece.shown.of_positions for piece in found]),
-        np.concatenate([piece.shown.of_currents for piece in found]),
-    )
 
 
 class Cut(NamedTuple):
@@ -120,6 +91,31 @@ class Intervals(NamedTuple):
         return found
 
 
+def run_whole(
+    valve: Valve,
+    trace: Trace,
+    drive: Drive,
+    offset: float,
+    directions: Directions | None = None,
+    intervals: Intervals | None = None,
+    numbers: Array | None = None,
+) -> RunPiece:
+    """All that a run shows; arguments as of `run_in_pieces`.
+
+    Raises:
+        SimulationError: the simulation could not be carried to its end.
+    """
+    if intervals is None:
+        return RunPiece(
+            slice(0, None), slice(0, None), shown_by(valve, trace, drive, offset, directions, numbers=numbers)
+        )
+    first, *others = run_in_pieces(valve, trace, drive, offset, directions, intervals, numbers)
+    if not others:
+        return first
+    parts = [first.shown, *(piece.shown for piece in others)]
+    return RunPiece(slice(None), slice(None), Shown(*map(np.concatenate, zip(*parts, strict=True))))
+
+
 def run_in_pieces(
     valve: Valve,
     trace: Trace,
@@ -127,6 +123,7 @@ def run_in_pieces(
     offset: float,
     directions: Directions | None = None,
     intervals: Intervals | None = None,
+    numbers: Array | None = None,
 ) -> Iterator[RunPiece]:
     """Run a recorded drive.
 
@@ -134,15 +131,17 @@ def run_in_pieces(
         valve: without gas. trace: whose sample times count. drive: when the voltage changes, s.
         offset: s by which samples are stamped late. directions: along which derivatives are carried.
         intervals: what differs of the valve from interval to interval.
+        numbers: of the valve, where they are known already.
 
     Raises:
         SimulationError: the simulation could not be carried to its end.
     """
     current_times = trace.coil_current.times if trace.coil_current is not None else NO_TIMES
     ends = None if intervals is None else intervals.changes
-    numbers = None
+    own = valve.numbers() if numbers is None else numbers
+    numbers = own
     if intervals is not None:
-        own, places = valve.numbers(), places_of_fields(valve, intervals.fields)
+        places = places_of_fields(valve, intervals.fields)
         numbers = intervals.values(own, places, 0)
         if directions is not None:
             moved = intervals.moved(own, places, 0)

@@ -216,7 +216,7 @@ class Recorded(NamedTuple):
 
 
 def recorded(valve: Valve, trace: Trace, drive: Drive, offset: float) -> Recorded:
-    """A valve as a trace recorded it, which rests until the first command or sample; arguments as of `predicted`."""
+    """A valve as a trace recorded it, which rests until the first command or sample; arguments as of `shown_by`."""
     firsts = [trace.sample_times[:1]]
     if trace.outlet_pressure is not None:
         firsts.append(trace.outlet_pressure.times[:1])
@@ -242,9 +242,20 @@ def run_from_rest(of: Recorded, directions: Directions | None = None, numbers: A
 
 
 def shown_by(
-    valve: Valve, trace: Trace, drive: Drive, offset: float, directions: Directions | None = None, room: int = 0
+    valve: Valve,
+    trace: Trace,
+    drive: Drive,
+    offset: float,
+    directions: Directions | None = None,
+    room: int = 0,
+    numbers: Array | None = None,
 ) -> Shown:
-    """What the sensors of a valve show at the samples of a trace; arguments as of `predicted` and `run_from_rest`.
+    """What the sensors of a valve show at the samples of a trace.
+
+    Args:
+        valve: what is simulated. trace: whose sample times count. drive: when the voltage changes, s.
+        offset: s by which samples are stamped late. directions: along which derivatives are carried.
+        room: for so many events. numbers: of the valve, where they are known already.
 
     Raises:
         SimulationError: the simulation could not be carried to its end.
@@ -255,7 +266,8 @@ def shown_by(
     )
     end = max(float(own[-1]) for own in (times, current_times, pressure_times) if len(own))
     of = recorded(valve, trace, drive, offset)
-    return run_from_rest(of, directions).piece(of.commands, end, times, current_times, pressure_times, room=room)
+    run = run_from_rest(of, directions, numbers if of.valve is valve else None)
+    return run.piece(of.commands, end, times, current_times, pressure_times, room=room)
 
 
 def as_it_began(valve: Valve, trace: Trace) -> Valve:
@@ -271,21 +283,6 @@ def as_it_began(valve: Valve, trace: Trace) -> Valve:
         known["demand_pressure"] = float(pressures[max(0, int(np.searchsorted(times, at, side="right")) - 1)])
     least: dict[str, Any] = {name: max(pressure, LEAST_PRESSURE) for name, pressure in known.items()}
     return replace(valve, gas=valve.gas._replace(**least)) if least else valve
-
-
-def predicted(valve: Valve, trace: Trace, drive: Drive, offset: float) -> list[Array]:
-    """What the sensors show at the samples of a trace: positions, then current and outlet pressure where recorded.
-
-    Args:
-        valve: what is simulated. trace: whose sample times count.
-        drive: when the voltage changes, s. offset: s by which samples are stamped late.
-
-    Raises:
-        SimulationError: the simulation could not be carried to its end.
-    """
-    shown = shown_by(valve, trace, drive, offset)
-    pressures = [] if trace.outlet_pressure is None else [shown.pressures]
-    return [shown.positions, *amperes(valve, trace, shown.currents), *pressures]
 
 
 def supply_of(trace: Trace, offset: float) -> Supply | None:
@@ -364,17 +361,8 @@ def rated_current_of(valve: Valve) -> float:
     return voltage / resistance
 
 
-def amperes(valve: Valve, trace: Trace, currents: Array) -> list[Array]:
-    """Currents as a trace has them, from normalised ones; none where it has none.
-
-    Raises:
-        SimulationError: the coil has no resistance.
-    """
-    return [] if trace.coil_current is None else [currents * rated_current_of(valve)]
-
-
 def contacts(valve: Valve, trace: Trace, drive: Drive, offset: float) -> Contacts:
-    """When plungers of a valve meet the body, and with which momentum; arguments as of `predicted`.
+    """When plungers of a valve meet the body, and with which momentum; arguments as of `shown_by`.
 
     Raises:
         SimulationError: the simulation could not be carried to its end.
@@ -400,7 +388,7 @@ def contacts(valve: Valve, trace: Trace, drive: Drive, offset: float) -> Contact
 
 
 def followed(valve: Valve, trace: Trace, drive: Drive, offset: float) -> Array:
-    """The pilot plunger's positions at the samples by which a trace is judged, m; arguments as of `predicted`.
+    """The pilot plunger's positions at the samples by which a trace is judged, m; arguments as of `shown_by`.
 
     Raises:
         SimulationError: the simulation could not be carried to its end.
