@@ -99,29 +99,47 @@ class Noise:
                 first = max(start, lag)
                 found[first:end] -= coefficient * columns[first - lag : end - lag]
 
-    def whiten_rows(
-        self, found: Array, columns: Array, at: NDArray[np.intp], lags: NDArray[np.intp], scale: Array
-    ) -> None:
-        """Whiten rows of columns: (n, k) → `found`, (r, k).
-
-        Args:
-            found, columns: the former is written. at: (r,) which row of the columns each is of.
-            lags: (r,) over how many rows before it each is whitened; −1: over none. scale: (r,) factor of each.
-        """
+    def whiten_rows(self, found: Array, columns: Array, rows: WhiteRows) -> None:
+        """Whiten rows of columns, in the signal's unit: (n, k) → `found`, (r, k), which is written."""
+        if not self.coefficients:
+            np.take(columns, rows.at, axis=0, out=found, mode="clip")
+            return
         white = np.empty(columns.shape)
         self._filter(white, columns)
-        np.take(white, at, axis=0, out=found, mode="clip")
+        np.take(white, rows.at, axis=0, out=found, mode="clip")
+        found[rows.odd] = columns[rows.at[rows.odd]]
+        for coefficient, (late, before) in zip(self.coefficients, rows.late, strict=True):
+            found[late] -= coefficient * columns[before]
+
+    def white_rows(self, at: NDArray[np.intp], lags: NDArray[np.intp]) -> WhiteRows:
+        """What is whitened of columns.
+
+        Args:
+            at: (r,) which row of the columns each is of.
+            lags: (r,) over how many rows before it each is whitened; −1: over none.
+        """
         odd = np.flatnonzero(lags < np.minimum(at, len(self.coefficients)))
-        found[odd] = columns[at[odd]]
-        for lag, coefficient in enumerate(self.coefficients, start=1):
-            late = odd[lags[odd] >= lag]
-            found[late] -= coefficient * columns[at[late] - lag]
-        found *= scale[:, None]
+        orders = range(1, len(self.coefficients) + 1)
+        late = [odd[lags[odd] >= lag] for lag in orders]
+        return WhiteRows(at, odd, [(own, at[own] - lag) for own, lag in zip(late, orders, strict=True)])
 
     @property
     def is_coarse(self) -> bool:
         """Whether the quantisation step hides the noise."""
         return self.step > COARSE * self.sigma
+
+
+class WhiteRows(NamedTuple):
+    """Which rows of columns are whitened.
+
+    Attributes:
+        at: (r,) of which row of the columns each is. odd: those that are not whitened over all rows before them.
+        late: for each lag, of the odd ones those that are over so many, and the rows of the columns so much before.
+    """
+
+    at: NDArray[np.intp]
+    odd: NDArray[np.intp]
+    late: list[tuple[NDArray[np.intp], NDArray[np.intp]]]
 
 
 class Window(NamedTuple):
