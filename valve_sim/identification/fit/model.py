@@ -123,6 +123,15 @@ class Model:
         return alone + [[self._local[member] for member in own.members] for own in self._column_groups]
 
     @cached_property
+    def _even(self) -> list[Direction | None]:
+        """Directions that are the same everywhere: of coordinates that are values themselves; else None."""
+        is_even = [all(self.moving[place].parameter is None for place in own) for own in self._directed]
+        return [
+            self._direction(own, self.start) if even else None
+            for own, even in zip(self._directed, is_even, strict=True)
+        ]
+
+    @cached_property
     def _shared(self) -> dict[int, ColumnGroup]:
         """By the number of the direction those that are shared."""
         first = len(self._directed) - len(self._column_groups)
@@ -213,7 +222,8 @@ class Model:
         Unknowns that act on different samples share a direction, whose derivative is parted.
         """
         groups = self._directed
-        found, is_known = self._along(z, [self._direction(own, z) for own in groups])
+        even = self._even
+        found, is_known = self._along(z, [even[n] or self._direction(own, z) for n, own in enumerate(groups)])
         moved, apart = np.take(found, self._column_of, axis=1), list[int]()
         for place in np.flatnonzero(~is_known).tolist():
             apart += groups[place]

@@ -211,11 +211,13 @@ class Rows:
             SimulationError: the machine cannot be simulated with these values.
         """
         self._budget.count(self._strokes, len(directions))
-        known, plant = np.zeros(len(directions), dtype=bool), self._simulated
-        if directions and isinstance(plant, Differentiable):
+        known, plant = np.zeros(len(directions), dtype=bool), self._differentiable
+        if directions and plant is not None:
             columns, known, shown = plant.sensitivities(values, directions)
             if known.any():
-                return self._white(finite_prediction(plant, values) if shown is None else shown, columns), known
+                return self._white(
+                    finite_prediction(self._simulated, values) if shown is None else shown, columns
+                ), known
         left = self.residuals(values)
         return np.column_stack([np.zeros((len(left), len(directions))), left]), known
 
@@ -236,6 +238,11 @@ class Rows:
             start += len(own)
         found[:, -1] += self._target
         return found
+
+    @functools.cached_property
+    def _differentiable(self) -> Differentiable | None:
+        plant = self._simulated
+        return plant if isinstance(plant, Differentiable) else None
 
     @functools.cached_property
     def _target(self) -> Array:

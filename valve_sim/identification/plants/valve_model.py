@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -15,6 +15,13 @@ from valve_sim.model.valve import OF_TWO_PLUNGERS
 
 GAS_NAMES: Final[Mapping[str, str]] = {of_gas(name): name for name in GAS}
 """What fits call a number of the group `gas`, and what the group calls it."""
+SWITCHES: Final = (
+    "coil_time_constant", "eddy_time_constant", "residual_current", "restitution_stop", "restitution_seat",
+    "stop_compliance", "sensor_time_constant", "release_voltage",
+)  # fmt: skip
+"""Numbers that are off at 0 and act differently on either side of it: difference quotients are needed there."""
+WATCHED: Final = frozenset({*SWITCHES, "reference_voltage", "coil_resistance"})
+"""These, and what the rated current follows from: effects change what is declared of them."""
 DAMPINGS: Final = ("pilot_damping", "main_damping")
 """Declared values that every fit frees, because they are not known beforehand; see `dampings_of`."""
 
@@ -22,6 +29,11 @@ DAMPINGS: Final = ("pilot_damping", "main_damping")
 def dampings_of(valve: Valve) -> tuple[str, ...]:
     """The names of the dampings that a valve uses: one plunger has no Phase 1."""
     return DAMPINGS[1:] if valve.parameters.has_one_plunger else DAMPINGS
+
+
+def switches_of(valve: Valve) -> list[float]:
+    """The switches of a valve, with its effects."""
+    return valve.after_effects(*SWITCHES)
 
 
 class ValveModel:
@@ -62,6 +74,7 @@ class ValveModel:
         effects |= {name: choice for name, choice in grown.items() if choice.parameters}
         self.effects: Mapping[str, EffectChoice] = self._tolerated.with_hypotheses(effects, self.refitted)
         self._declared = valve.declared()
+        self._watched = WATCHED | {name for name, entry in CATALOGUE.items() if not WATCHED.isdisjoint(entry.changes)}
         self._gas = GAS_NAMES if valve.gas is not None else {}
 
     def parameter(self, name: str) -> Parameter:
@@ -86,10 +99,9 @@ class ValveModel:
             return self.valve.effects[effect][parameter]
         return CATALOGUE[effect].parameter(parameter).neutral
 
-    def changes(self, name: str, numbers: Set[str]) -> bool:
-        """Whether a declared value, or a parameter of an effect, may change some numbers of the equations."""
-        effect, _, _ = name.partition(".")
-        return not numbers.isdisjoint(CATALOGUE[effect].changes if effect in CATALOGUE else (name,))
+    def is_watched(self, name: str) -> bool:
+        """Whether a declared value, or a parameter of an effect, may change a switch or the rated current."""
+        return name.partition(".")[0] in self._watched
 
     def as_declared(self, values: Mapping[str, float]) -> Mapping[str, float]:
         """Values by the names of declared scalars and parameters of effects, in place of what stands for them."""

@@ -8,28 +8,20 @@ model's to differentiate.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.identification.plants.protocol import Array, Direction, Piece
 from valve_sim.identification.plants.recording_errors import Recording, is_of_recording
-from valve_sim.identification.plants.valve_model import ValveModel
+from valve_sim.identification.plants.valve_model import ValveModel, switches_of
 from valve_sim.identification.plants.valve_pieces import Intervals, run_in_pieces, run_whole
 from valve_sim.identification.plants.valve_sensors import averaged, rated_current_of
 from valve_sim.model import Drive, Valve
 from valve_sim.model.core.gas import PREFIX
 from valve_sim.model.runs import Directions
 from valve_sim.recordings import Trace
-
-_SWITCHES: Final = (
-    "coil_time_constant", "eddy_time_constant", "residual_current", "restitution_stop", "restitution_seat",
-    "stop_compliance", "sensor_time_constant", "release_voltage",
-)  # fmt: skip
-"""Numbers that are off at 0 and act differently on either side of it: difference quotients are needed there."""
-_WATCHED: Final = frozenset({*_SWITCHES, "reference_voltage", "coil_resistance"})
-"""These, and what the rated current follows from: effects change what is declared of them."""
 
 
 class MovingValve(NamedTuple):
@@ -75,14 +67,14 @@ def moving_valve(
     valve = model.simulated(values)
     numbers, rated = valve.numbers(), rated_current_of(valve) if has_current else np.nan
     slopes, of_rated = np.zeros((len(directions), len(numbers))), np.zeros(len(directions))
-    known = np.ones(len(directions), dtype=bool)
+    known, is_finite = np.ones(len(directions), dtype=bool), np.isfinite(numbers)
     places = {name: place for place, name in enumerate(valve.names)}
     for row, (freed, direction) in enumerate(zip(own, directions, strict=True)):
         plain = model.plain_slopes(freed, values) if freed else {}
-        if all(name in places and not model.changes(name, _WATCHED) for name in plain):
-            at = [places[name] for name in plain]
-            slopes[row, at] = list(plain.values())
-            known[row] = np.isfinite(numbers[at]).all()
+        if all([name in places and not model.is_watched(name) for name in plain]):
+            for name, by in plain.items():
+                slopes[row, places[name]] = by
+                known[row] &= is_finite[places[name]]
             continue
         other = model.simulated(_moved(values, direction))
         there = other.numbers()
@@ -90,14 +82,10 @@ def moving_valve(
         slopes[row, differs] = (there[differs] - numbers[differs]) / direction.step
         if has_current:
             of_rated[row] = (rated_current_of(other) - rated) / direction.step
-        is_switched = (_switches_of(valve) == 0.0) & (_switches_of(other) != 0.0)
-        known[row] = np.isfinite(slopes[row]).all() and not is_switched.any()
+        is_switched = any(a == 0.0 != b for a, b in zip(switches_of(valve), switches_of(other), strict=True))
+        known[row] = np.isfinite(slopes[row]).all() and not is_switched
     slopes[~known] = 0.0
     return MovingValve(values, directions, ahead, valve, numbers, slopes, rated, of_rated, known)
-
-
-def _switches_of(valve: Valve) -> Array:
-    return np.array(valve.after_effects(*_SWITCHES))
 
 
 def _moved(values: Mapping[str, float], direction: Direction) -> dict[str, float]:
