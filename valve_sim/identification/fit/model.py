@@ -188,7 +188,7 @@ class Model:
         products[k:-1, outer], products[outer, k:-1] = cross, cross.T
         products[k:-1, k:-1] = self._fixed_products
         if not np.isfinite(products).all():
-            raise SimulationError("the derivatives are not finite, or too large to be squared")
+            raise SimulationError("the derivatives are too large to be squared, or not finite")
         return Sums(moved, self.fixed, products, self.problem.rows.constant)
 
     def _in_pieces(self, z: Array) -> Sums | None:
