@@ -32,6 +32,7 @@ from valve_sim.files.yaml_files import read_yaml
 from valve_sim.model.core.own.grammar import Expr, ExpressionError, names_in, parse
 from valve_sim.model.core.own.units import Unit, parse_unit
 from valve_sim.recordings.column_sources import source_of
+from valve_sim.recordings.resting_noise import step_of
 from valve_sim.recordings.trace import TraceError
 
 Array = NDArray[np.float64]
@@ -347,9 +348,8 @@ def at_rest(times: Array, readings: Array) -> Mask:
     span = max(11, round(REST / steady))
     bends = np.diff(readings, 2)
     noise = 1.4826 * float(np.median(np.abs(bends - np.median(bends)))) / math.sqrt(6.0) if len(bends) else 0.0
-    step = np.abs(np.diff(readings))
-    quantum = float(np.min(step[step > 0.0], initial=math.inf))
-    allowed = max(STILL * noise, 1.5 * quantum if quantum < 0.01 * np.ptp(readings) else 0.0)
+    step = step_of(readings)
+    allowed = max(STILL * noise, 1.5 * step if step < 0.01 * np.ptp(readings) else 0.0)
     moved = ndimage.maximum_filter1d(readings, span) - ndimage.minimum_filter1d(readings, span)
     still = moved <= allowed
     return np.asarray(ndimage.binary_dilation(still, iterations=span // 2) if still.any() else still)

@@ -14,7 +14,7 @@ from scipy.linalg.blas import dtbsv
 
 from valve_sim.identification.fit.errors import hum
 from valve_sim.identification.plants.protocol import Channel
-from valve_sim.recordings.resting_noise import repeated_levels
+from valve_sim.recordings.resting_noise import step_of
 
 Array = NDArray[np.float64]
 
@@ -41,8 +41,6 @@ PLAIN_DRIFT: Final = 5.0
 PLAINLY_MORE: Final = 2.0
 """Times what a model leaves, beyond which noise read at rest was motion; and times a step or rounding, below which it
 is these."""
-READ_AGAIN: Final = 3
-"""Readings of the usual level of a sensor with uneven steps: levels of a motion are read once or twice."""
 HIDDEN: Final = 0.25
 """Of a step: noise of this standard deviation takes one reading in twenty at rest to another code, less hides."""
 DRAWS: Final = 20
@@ -164,7 +162,7 @@ def estimate_noise(channels: Sequence[Channel], *, may_hum: bool = False) -> Noi
     shows_colour = bool(windows)
     if not shows_colour:
         windows = [window for channel in channels for window in quiet_windows(channel, SHORT_WINDOW)]
-    step = quantisation_step(*(channel.kept(channel.data) for channel in channels))
+    step = step_of(np.concatenate([channel.kept(channel.data) for channel in channels]))
     windows = _at_the_quieter_rest(windows)
     if not windows:
         # Never still: the second difference of a smooth motion is nearly all noise.
@@ -390,25 +388,6 @@ def _spread(windows: Sequence[Window]) -> float:
     """Standard deviation within windows."""
     squares = sum(float(np.sum(np.square(own.values - own.values.mean()))) for own in windows)
     return math.sqrt(squares / max(1, sum(len(own.values) - 1 for own in windows)))
-
-
-def quantisation_step(*pieces: Array) -> float:
-    """The step of a quantised signal, in its unit; 0 if readings hardly repeat.
-
-    Steps of a curved sensor behind a converter, as of a thermistor, differ: then it is the median of those between
-    levels, where most of these are read again and again.
-    """
-    readings = np.concatenate(pieces) if pieces else np.empty(0)
-    levels = repeated_levels(readings)
-    if len(levels) < 3:
-        return 0.0
-    gaps = np.diff(levels)
-    step = float(np.quantile(gaps, 0.05))
-    multiples = gaps / step
-    if step > 0.0 and np.mean(np.abs(multiples - np.round(multiples)) < 0.02) > 0.95:
-        return step
-    counts = np.histogram(readings, np.concatenate([[-np.inf], levels[:-1] + 0.5 * gaps, [np.inf]]))[0]
-    return float(np.median(gaps)) if float(np.median(counts)) >= READ_AGAIN else 0.0
 
 
 def still_runs(data: Array) -> Array:

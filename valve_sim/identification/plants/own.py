@@ -37,6 +37,7 @@ from valve_sim.model.core.own.units import dimension_words, same
 from valve_sim.model.errors import ParameterError, SimulationError
 from valve_sim.model.parameters import Parameter, closest
 from valve_sim.recordings.columns import Column, Columns
+from valve_sim.recordings.resting_noise import step_of
 
 GROUPS: Final = 8
 """Parts of a recording without windows, of which some are held out."""
@@ -784,11 +785,9 @@ def quiet_samples(times: Array, data: Array, inputs: Sequence[Column]) -> NDArra
     early = (total[first + half] - total[first]) / half
     late = (total[first + QUIET] - total[first + half]) / half
     spread = np.array([np.ptp(data[i : i + QUIET]) for i in first])
-    steps = np.abs(np.diff(np.unique(data)))
-    quantum = float(np.min(steps, initial=math.inf)) if len(steps) < len(data) // 2 else 0.0
-    quantum = quantum if math.isfinite(quantum) else 0.0
-    still = np.abs(late - early) <= STANDS * noise * math.sqrt(2.0 / half) + 0.5 * quantum
-    still &= spread <= max(12.0 * noise, 2.0 * quantum) + 1e-15
+    step = step_of(data)
+    still = np.abs(late - early) <= STANDS * noise * math.sqrt(2.0 / half) + 0.5 * step
+    still &= spread <= max(12.0 * noise, 2.0 * step) + 1e-15
     for column in inputs:
         own = np.interp(times, column.times, column.readings)
         size, whole = _noise_between_neighbours(own, first), float(np.ptp(own))

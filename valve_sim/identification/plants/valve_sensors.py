@@ -20,7 +20,7 @@ from valve_sim.model.runs import Directions, Run, Shown
 from valve_sim.model.simulation import commands_of
 from valve_sim.recordings import Signal, Trace, stroke_numbers
 from valve_sim.recordings.measured_input import AT_COMMAND
-from valve_sim.recordings.resting_noise import repeated_levels
+from valve_sim.recordings.resting_noise import step_of
 
 FIT_TOLERANCE: Final = 1e-8
 """Of one step while fitting: a thousandth of the noise at most."""
@@ -76,7 +76,7 @@ def still_mask(
     resting = (data[end] if left_out is None else data[end][~left_out[end]] for end in ends)
     spread = [1.4826 * float(np.median(np.abs(np.diff(piece, 2)))) for piece in resting if len(piece) > 12]
     sigma = float(np.median(spread)) if spread else 0.0
-    width = within * max(sigma, 1e-9) + _coarse_step(data if left_out is None else data[~left_out])
+    width = within * max(sigma, 1e-9) + step_of(data if left_out is None else data[~left_out])
     for index, (start, stop) in enumerate(itertools.pairwise(edges)):
         if stop - start < 20:
             continue
@@ -107,11 +107,6 @@ def fastest_motion(trace: Trace) -> float:
     stride = max(1, len(trace.times) // 2000)
     speed = np.abs(np.diff(trace.usable_position[::stride]) / np.diff(trace.times[::stride]))
     return max(float(np.quantile(speed, 0.995)), 0.05)
-
-
-def _coarse_step(data: Array) -> float:
-    levels = repeated_levels(data)
-    return float(np.median(np.diff(levels))) if 1 < len(levels) < 0.5 * len(data) else 0.0
 
 
 def with_usable_current(trace: Trace, *, jumps: bool) -> Trace:
