@@ -24,7 +24,6 @@ from valve_sim.identification.plants.own import OwnPlant
 from valve_sim.identification.plants.protocol import (
     Array,
     Channel,
-    InPieces,
     Piece,
     Plant,
     finite_prediction,
@@ -250,7 +249,7 @@ def _rms_of_channels(problem: Problem, values: Mapping[str, float], added: Seque
 
 def _pieces(plant: Plant, values: Mapping[str, float]) -> Iterator[Piece]:
     """What each channel would show; of a long recording never all of it at once."""
-    pieces = plant.pieces(values, ()) if isinstance(plant, InPieces) and is_long(plant) else None
+    pieces = plant.pieces(values, ()) if is_long(plant) else None
     if pieces is not None:
         yield from pieces
         return

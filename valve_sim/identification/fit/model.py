@@ -21,7 +21,7 @@ from valve_sim.identification.fit.column_groups import ColumnGroup
 from valve_sim.identification.fit.gram import gram
 from valve_sim.identification.fit.problem import Problem
 from valve_sim.identification.fit.unknown import Unknown
-from valve_sim.identification.plants.protocol import Array, Direction, short_step_of
+from valve_sim.identification.plants.protocol import Array, Direction
 from valve_sim.model import SimulationError
 
 FINE: Final = 1e-4
@@ -251,7 +251,7 @@ class Model:
 
     def _quotient(self, z: Array, place: int, left: Array) -> Array:
         """(r,) a difference quotient by one coordinate, within its range; nothing where none can be simulated."""
-        own, short = self.moving[place], short_step_of(self.problem.plant)
+        own, short = self.moving[place], self.problem.plant.short_step
         sizes = [share * own.step for share in SHARES]
         if short is not None and own.parameter is not None:
             sizes = [short * own.scale, *sizes]

@@ -31,16 +31,12 @@ from valve_sim.identification.fit.noise import Noise, WhiteRows, readings_near, 
 from valve_sim.identification.plants.protocol import (
     Array,
     Channel,
-    Differentiable,
     Direction,
-    InPieces,
     Nuisance,
     Piece,
     Plant,
-    Thinnable,
     finite_prediction,
     strokes_of_plant,
-    varying_of,
 )
 from valve_sim.model import SimulationError
 
@@ -211,13 +207,11 @@ class Rows:
             SimulationError: the machine cannot be simulated with these values.
         """
         self._budget.count(self._strokes, len(directions))
-        known, plant = np.zeros(len(directions), dtype=bool), self._differentiable
-        if directions and plant is not None:
-            columns, known, shown = plant.sensitivities(values, directions)
+        known = np.zeros(0, dtype=bool)
+        if directions:
+            columns, known, shown = self._simulated.sensitivities(values, directions)
             if known.any():
-                return self._white(
-                    finite_prediction(self._simulated, values) if shown is None else shown, columns
-                ), known
+                return self._white(shown, columns), known
         left = self.residuals(values)
         return np.column_stack([np.zeros((len(left), len(directions))), left]), known
 
@@ -238,11 +232,6 @@ class Rows:
             start += len(own)
         found[:, -1] += self._target
         return found
-
-    @functools.cached_property
-    def _differentiable(self) -> Differentiable | None:
-        plant = self._simulated
-        return plant if isinstance(plant, Differentiable) else None
 
     @functools.cached_property
     def _target(self) -> Array:
@@ -272,7 +261,7 @@ class Rows:
             SimulationError: the machine cannot be simulated with these values.
         """
         self._budget.count(self._strokes, len(directions))
-        pieces = self.plant.pieces(values, directions) if isinstance(self.plant, InPieces) else None
+        pieces = self.plant.pieces(values, directions)
         if pieces is None:
             return None
         total = np.zeros((1 + len(directions),) * 2)
@@ -302,10 +291,10 @@ def _rows_of(piece: Piece, channel: Channel, before: Array) -> Array:
 class CondensedRows(Rows):
     """Rows of which some stand for many samples; arguments as of `Rows`, the plant one that can be thinned."""
 
-    def __init__(self, plant: Thinnable, weights: Sequence[Array], noises: Sequence[Noise], budget: Budget) -> None:
+    def __init__(self, plant: Plant, weights: Sequence[Array], noises: Sequence[Noise], budget: Budget) -> None:
         super().__init__(plant, weights, noises, budget)
         edges = np.unique(
-            [end for own in (*plant.nuisances, *plant.timing_errors, *varying_of(plant)) for end in own.during]
+            [end for own in (*plant.nuisances, *plant.timing_errors, *plant.varying) for end in own.during]
         )
         channels = zip(plant.channels, _reference(plant), weights, noises, strict=True)
         self._condensed = [_in_blocks(*channel, edges[np.isfinite(edges)]) for channel in channels]

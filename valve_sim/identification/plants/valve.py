@@ -14,18 +14,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.files.channels import SIGNALS
-from valve_sim.identification.plants.hold_out import Condition
 from valve_sim.identification.plants.protocol import (
     NO_CONTACTS,
     Advice,
     Array,
     Channel,
+    Condition,
     Direction,
     EffectChoice,
     Experiment,
     ForceMap,
     Nuisance,
     Piece,
+    Plant,
     Sensitivities,
     Sensor,
 )
@@ -93,7 +94,7 @@ def volts_at(valve: Valve, levels: Sequence[float], driven: float = math.inf) ->
     return tuple(round(own, 2) for own in volts)
 
 
-class ValvePlant:
+class ValvePlant(Plant):
     """The valve behind one or more traces.
 
     Args:
@@ -300,6 +301,11 @@ class ValvePlant:
             return Sensitivities([], at.known)
         found = list(shown(at, self._recordings))
         return Sensitivities([own.columns for own in found], at.known, [own.shown for own in found])
+
+    @property
+    def comes_in_pieces(self) -> bool:
+        """Whether predictions can be had piece by piece: of every valve it is tried."""
+        return True
 
     def pieces(self, values: Mapping[str, float], directions: Sequence[Direction]) -> Iterator[Piece] | None:
         """Prediction and derivatives, piece by piece; None without derivatives, with gas, or where a sensor averages.
