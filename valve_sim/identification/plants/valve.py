@@ -111,12 +111,15 @@ class ValvePlant(Plant):
     def __init__(self, traces: Sequence[Trace], valve: Valve | ValveModel, *, is_watched: bool = False) -> None:
         self._is_watched = is_watched
         known = valve if isinstance(valve, ValveModel) else ValveModel(with_declared_sensor(valve, traces))
-        self._model, valve = known, known.valve
-        jumps = valve.parameters.coil_time_constant == 0.0 or "motional_emf" in valve.effects
-        seen = [trace if valve.gas is not None else without_pressure(trace) for trace in traces]
-        self.traces = tuple(with_usable_current(trace, jumps=jumps) for trace in seen)
+        self._model = known
+        self.traces = tuple(map(self._usable, traces))
         self._channels = [channel for index, trace in enumerate(self.traces) for channel in channels_of(index, trace)]
         self._recordings = self._recorded_errors()
+
+    def _usable(self, trace: Trace) -> Trace:
+        """What a recording holds that the valve explains."""
+        jumps = self.valve.parameters.coil_time_constant == 0.0 or "motional_emf" in self.valve.effects
+        return with_usable_current(trace if self.valve.gas is not None else without_pressure(trace), jumps=jumps)
 
     @property
     def valve(self) -> Valve:
@@ -240,19 +243,16 @@ class ValvePlant(Plant):
     def _recorded(self, volts: float, duration: float, times: Array, values: Mapping[str, float]) -> ValvePlant:
         """A pulse recorded from a valve of these values, without noise."""
         drive = Drive.of([PULSE_START, PULSE_START + duration], [volts, 0.0])
-        nothing = np.zeros_like(times)
-        if not self.traces[0].has_positions:
-            seen = SIGNALS[self.traces[0].primary_signal].name
-            blank = Trace("an experiment", drive, times[:0], times[:0])
-            trace = replace(blank, **{seen: Signal(times, nothing)})  # type: ignore[arg-type] # by name
-            plant = ValvePlant([trace], self.valve)
-            (predicted_there,) = plant.predict(values)
-            # Samples at a command, where a current may jump, are not among them.
-            shown = Signal(plant.channels[0].times, predicted_there)
-            return ValvePlant([replace(trace, **{seen: shown})], self.valve)  # type: ignore[arg-type]
-        trace = Trace("an experiment", drive, times, nothing)
-        (position,) = ValvePlant([trace], self.valve).predict(values)
-        return ValvePlant([replace(trace, pilot_position=position)], self.valve)
+        trace = Trace("an experiment", drive, times, np.zeros_like(times))
+        seen = "" if self.traces[0].has_positions else SIGNALS[self.traces[0].primary_signal].name
+        if seen:
+            blank = {"times": times[:0], "pilot_position": times[:0], seen: Signal(times, trace.pilot_position)}
+            trace = self._usable(replace(trace, **blank))  # type: ignore[arg-type] # by name
+        at = moving_valve(self._model, values, (), has_current=trace.coil_current is not None)
+        (piece,) = shown(at, [Recording(trace, 0, self.valve)])
+        # Samples at a command, where a current may jump, are not among those of a signal.
+        found = {seen: Signal(getattr(trace, seen).times, piece.shown)} if seen else {"pilot_position": piece.shown}
+        return ValvePlant([replace(trace, **found)], self._model)
 
     def _channels_of(self, trace: int) -> tuple[int, ...]:
         return tuple(index for index, channel in enumerate(self._channels) if channel.recording == trace)
@@ -329,7 +329,10 @@ class ValvePlant(Plant):
 
     @property
     def can_be_thinned(self) -> bool:
-        """Whether a sample is the same whichever others are shown: not of a valve with gas, or of a mean of several."""
+        """Whether a sample is the same whichever others are shown: not of a valve with gas, or of a mean of several.
+
+        The few strokes of a commissioned valve are compared one by one.
+        """
         return self.valve.gas is None and not self._averages and self._model.scatter is None
 
     def thinned(self, kept: Sequence[NDArray[np.intp]]) -> ValvePlant:
