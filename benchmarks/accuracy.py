@@ -16,8 +16,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable
-from dataclasses import replace
-from typing import Any, Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from model import jumps
@@ -25,13 +24,12 @@ from model.derivatives import ACCURACY, errors_of
 from model.derivatives import random_case as random_derivatives
 from model.flux_cases import differences as differences_of_release
 from model.flux_cases import random_release
-from model.gas.cases import gas_valve
+from model.gas.cases import CASES, Case, compared, ours
 from model.random_valves import TIMES, random_valve
 from model.reference import reference
-from plants.gas import GasValve
 
 from benchmarks.common import parser, say, show
-from valve_sim.model import TOLERANCE, Drive, EventKind, Response, Valve, simulate
+from valve_sim.model import TOLERANCE, EventKind, simulate
 
 FINEST: Final = 3e-13
 """Tolerance of a step, for comparison."""
@@ -122,91 +120,23 @@ def jumping(sets: int, tolerance: float) -> bool:
 
 # --- valves with gas --------------------------------------------------------------------------------------------------
 
-OPENING: Final = ((0.0, 9.0),)
-STROKE: Final = ((0.0, 9.0), (0.1, 0.0))
 OF_FLOW: Final = (EventKind.FLOW_CHOKED, EventKind.FLOW_SUBSONIC, EventKind.FLOW_REVERSED)
 
 
-class Case(NamedTuple):
-    """One run: a name, what differs from `gas_valve()`, commands (s, V), how long (s), leak (m²), and clogging."""
-
-    name: str
-    gas: dict[str, float]
-    drive: tuple[tuple[float, float], ...] = OPENING
-    end: float = 0.6
-    leak: float = 0.0
-    clogging: float = 1.0
-
-    @property
-    def valve(self) -> Valve:
-        """The default valve with a seat load and this gas."""
-        return gas_valve(**self.gas)
-
-
-CASES: Final = (
-    Case("2 MPa, 10 cm³, dead end", {"inlet_pressure": 2e6}),
-    Case("10 MPa, 10 cm³, dead end", {"inlet_pressure": 10e6}),
-    Case("35 MPa, 10 cm³, dead end", {}),
-    Case("50 MPa, 10 cm³, dead end", {"inlet_pressure": 50e6}),
-    Case("70 MPa, 10 cm³, dead end", {"inlet_pressure": 70e6}),
-    Case("87.5 MPa, 0.18 mm, dead end", {"inlet_pressure": 87.5e6, "pilot_orifice_diameter": 0.18e-3}),
-    Case("35 MPa, 50 cm³, 0.25 mm", {"outlet_volume": 5e-5, "pilot_orifice_diameter": 0.25e-3}, end=1.8),
-    Case("35 MPa, 200 cm³", {"outlet_volume": 2e-4}, end=2.0),
-    Case("2 MPa, demand 0.1 mm", {"inlet_pressure": 2e6, "demand_orifice_diameter": 0.1e-3}),
-    Case("35 MPa, demand 0.05 mm", {"demand_orifice_diameter": 0.05e-3}, end=0.8),
-    Case("35 MPa, demand too large to lift", {"demand_orifice_diameter": 0.2e-3}),
-    Case("70 MPa, too weak to leave the seat", {"inlet_pressure": 70e6, "pilot_orifice_diameter": 0.23e-3}, end=0.1),
-    Case("too weak to lift: spring and gas win at 5.5 V", {"inlet_pressure": 5e6}, ((0.0, 5.5),), 0.4),
-    Case("released while it waits", {}, STROKE, 0.3),
-    Case("released while it flows", {
-        "inlet_pressure": 2e6, "demand_orifice_diameter": 0.5e-3, "pilot_orifice_diameter": 1e-3}, STROKE, 0.3),
-    Case("flows back, 2 to 3 MPa", {"inlet_pressure": 2e6, "outlet_pressure": 3e6}, end=0.2),
-    Case("flows back choked, 2 to 20 MPa", {"inlet_pressure": 2e6, "outlet_pressure": 20e6}, end=0.3),
-    Case("nearly equal from the start", {"outlet_pressure": 35e6 - 100.0}, end=0.1),
-    Case("leak of 0.1 mm", {"inlet_pressure": 10e6}, end=0.3, leak=7.85e-9),
-    Case("pilot clogged to 60 %", {}, end=0.9, clogging=0.6),
-)  # fmt: skip
-
-
-def ours(case: Case, times: Any, tolerance: float = TOLERANCE) -> Response:
-    """Run the core; SimulationError where it comes to no end."""
-    effects = {"seat_leak": {"area": case.leak}, "pilot_clogging": {"ratio": case.clogging}}
-    drive = Drive.of(*zip(*case.drive, strict=True))
-    return simulate(replace(case.valve, effects=effects), drive, times, start_time=0.0, tolerance=tolerance)
-
-
-def theirs(case: Case, times: Any) -> tuple[list[tuple[float, str]], Any]:
-    """Run the independent plant."""
-    valve = case.valve
-    assert valve.gas is not None
-    sizes = {name: value for name, value in valve.gas._asdict().items() if name != "fluid"}
-    plant = GasValve(valve.parameters._asdict(), sizes, case.leak, case.clogging)
-    pressure = plant.run(case.drive, times)[1]
-    return sorted(plant.events), pressure
-
-
-def compare(case: Case) -> tuple[bool, list[str]]:
-    """Whether a case is within its bounds, and its row of the table."""
-    times = np.linspace(case.end / 400, case.end, 400)
-    run, finest = ours(case, times), ours(case, times, FINEST)
-    expected, pressure = theirs(case, times)
-    found = sorted((event.time, event.kind.name) for event in run.events)
-    same = [kind for _, kind in found] == [kind for _, kind in expected]
-    pairs = list(zip(found, expected, strict=False))
-    worst = max((abs(a - b) / (5e-6 + 1e-3 * b) for (a, _), (b, _) in pairs), default=0.0)
-    late = max((abs(a - b) for (a, _), (b, _) in pairs), default=0.0)
-    off = float(np.abs(run.outlet_pressure / pressure - 1.0).max())
-    of_step = max((abs(a.time - b.time) for a, b in zip(run.events, finest.events, strict=False)), default=0.0)
-    of_motion = sum(event.kind not in OF_FLOW for event in run.events)
-    is_good = same and worst <= 1.0 and off <= 2e-3
-    counted = f"{len(found)}" if same else f"{len(found)} / {len(expected)}"
-    figures = [f"{of_motion}", f"{1e6 * late:.2f}", f"{1e6 * off:.2f}", f"{1e9 * of_step:.3f}"]
-    return is_good, [case.name, counted, *figures, "yes" if is_good else "NO"]
+def row_of(case: Case) -> tuple[bool, list[str]]:
+    """Whether a case agrees with the independent plant, and its row of the table."""
+    found = compared(case)
+    finest = ours(case, found.times, FINEST).events
+    of_step = max((abs(a.time - b.time) for a, b in zip(found.run.events, finest, strict=False)), default=0.0)
+    of_motion = sum(event.kind not in OF_FLOW for event in found.run.events)
+    counted = f"{len(found.run.events)}" if found.is_same else f"{len(found.run.events)} / {len(found.events)}"
+    figures = [f"{of_motion}", f"{1e6 * found.late:.2f}", f"{1e6 * found.off:.2f}", f"{1e9 * of_step:.3f}"]
+    return found.is_good, [case.name, counted, *figures, "yes" if found.is_good else "NO"]
 
 
 def gas(sets: int, tolerance: float) -> bool:
     """The first of `CASES` beside the independent plant."""
-    rows = [compare(case) for case in CASES[:sets]]
+    rows = [row_of(case) for case in CASES[:sets]]
     headings = ("case", "events", "of motion", "late, µs", "pressure, ppm", "of the tolerance, ns", "within")
     show("valves with gas", headings, [row for _, row in rows])
     return all(is_good for is_good, _ in rows)

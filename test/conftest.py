@@ -17,7 +17,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 SHARED = {
-    "test_html.py": "the diagnosis of friction",
+    "test_page.py": "the diagnosis of friction",
     "test_properties.py": "the diagnosis of friction",
     "test_wording.py": "the diagnosis of friction",
     "test_golden.py": "the shipped recordings",

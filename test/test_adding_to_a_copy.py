@@ -98,11 +98,6 @@ def used(folder: Path, diff: str, script: str, *arguments: object) -> dict[str, 
     return found
 
 
-def test_the_diff_of_a_channel_changes_one_file() -> None:
-    headers = [line for line in (EXAMPLES / "housing_strain.diff").read_text().splitlines() if line.startswith("diff ")]
-    assert headers == ["diff --git a/valve_sim/files/channels.py b/valve_sim/files/channels.py"]
-
-
 def test_the_channel_of_the_diff_is_written_read_checked_guessed_and_documented(tmp_path: Path) -> None:
     found = used(tmp_path, "housing_strain.diff", CHANNEL_EVERYWHERE)
     assert found["bag"]
@@ -114,17 +109,6 @@ def test_the_channel_of_the_diff_is_written_read_checked_guessed_and_documented(
     assert "strain of the housing" in bad[0]
     assert "strain: {topic: /valve/measured/housing_strain, unit: m/m}" in found["draft"]
     assert found["documented"]
-
-
-def test_the_diff_of_an_effect_adds_one_file_and_changes_none() -> None:
-    headers = [
-        line
-        for line in (EXAMPLES / "flow_force.diff").read_text().splitlines()
-        if line.startswith(("diff ", "--- ", "+++ ", "@@ "))
-    ]
-    path = f"valve_sim/model/effects/{NAME}.py"
-    assert headers[:3] == [f"diff --git a/{path} b/{path}", "--- /dev/null", f"+++ b/{path}"]
-    assert len(headers) == 4
 
 
 def test_the_effect_of_the_diff_is_simulated_freed_tried_and_documented(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from shipped import diagnosed, identified, recording
+from shipped import ROOT, diagnosed, identified, recording
 
 import valve_sim as vs
 from valve_sim.model import ValveError
@@ -103,6 +103,27 @@ def test_another_valve_is_a_warning_and_another_unit_an_error(trace: Trace) -> N
         vs.identify(in_mm)
 
 
+def test_a_path_is_read_as_read_reads_it(tmp_path: Path, trace: Trace) -> None:
+    path = ROOT / "bags" / "one_opening.mcap"
+    found = vs.identify(str(path))
+    assert found.intervals == vs.identify([trace]).intervals
+    assert vs.validate([path], found.valve).passed
+    assert not vs.validate(path, found.valve, tolerance=1e-9).passed
+    assert "one_opening" in str(vs.validate(path, found.valve))
+    with pytest.raises(ValveError, match=r"nowhere\.mcap: does not exist; give a rosbag2 folder"):
+        vs.diagnose(tmp_path / "nowhere.mcap")
+    np.savetxt(
+        tmp_path / "log.csv", np.tri(9, 3, -1).cumsum(axis=0), delimiter=",", header="time,power,reading", comments=""
+    )
+    for call in (vs.identify, vs.diagnose, vs.validate):
+        with pytest.raises(ValveError, match=r"log\.csv: is not read as a valve's; read it with a map"):
+            call(str(tmp_path / "log.csv"))
+        with pytest.raises(ValveError, match=r"recordings: found int, expected one from vs\.read, or its path"):
+            call([path, 3])  # type: ignore[list-item]
+        with pytest.raises(ValveError, match=r"machine: found str, expected a valve from vs\.load_valve"):
+            call(path, "valve.yaml")  # type: ignore[arg-type]
+
+
 OVEN = """
 plant: equations
 states: {warmth: {unit: K, start: 0}}
@@ -135,6 +156,8 @@ def test_another_machine_is_read_refitted_and_diagnosed_by_the_same_calls(tmp_pa
     assert set(refitted.intervals) == {"capacity", "loss"}
     assert "capacity" in str(refitted)
     assert refitted.residual().unit == "K"
+    assert vs.identify(tmp_path / "log.csv", oven).intervals == refitted.intervals
+    assert not vs.validate(str(tmp_path / "log.csv"), oven).passed
     found = vs.diagnose(recording, oven)
     assert found.verdict.effects == ("radiation",)
     assert abs(found.after.intervals["loss"].value - 0.4) < 4.0 * found.after.intervals["loss"].stderr
@@ -149,9 +172,9 @@ def test_a_recording_of_the_other_kind_of_machine_is_refused_in_one_line(tmp_pat
         tmp_path / "log.csv", np.tri(9, 3, -1).cumsum(axis=0), delimiter=",", header="time,power,reading", comments=""
     )
     with pytest.raises(ValveError, match=r"was read as a valve's; read it with vs\.read"):
-        vs.diagnose(trace, vs.load_plant(tmp_path / "oven.yaml"))  # type: ignore[arg-type]
+        vs.diagnose(trace, vs.load_plant(tmp_path / "oven.yaml"))
     with pytest.raises(ValveError, match="is not read as a valve's; read it with a map, or give its machine"):
-        vs.identify(vs.read(tmp_path / "log.csv"))  # type: ignore[call-overload]
+        vs.identify(vs.read(tmp_path / "log.csv"))
 
 
 def test_a_map_says_whose_recording_it_is(tmp_path: Path) -> None:

@@ -387,20 +387,6 @@ def test_unusable_input_is_one_line_and_exit_2(tmp_path: Path, strokes: Path, ar
     assert sorted(tmp_path.rglob("*")) == before
 
 
-@pytest.mark.parametrize("command", ["identify", "diagnose"])
-def test_a_place_that_cannot_be_written_is_refused_before_the_work(
-    monkeypatch: pytest.MonkeyPatch, strokes: Path, tmp_path: Path, command: str
-):
-    def fails(*arguments: object) -> None:
-        raise AssertionError("recordings were read")
-
-    (tmp_path / "file").touch()
-    monkeypatch.setattr(f"valve_sim.cli.{command}.read_recordings", fails)
-    result = run(command, strokes, "--output", tmp_path / "file" / "results")
-    assert result.exit_code == 2
-    assert "cannot be written (Not a directory)" in result.stderr
-
-
 def test_a_mistake_in_the_program_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch, strokes: Path):
     def fails(*arguments: object) -> None:
         raise ZeroDivisionError
@@ -430,8 +416,7 @@ def test_what_cannot_be_written_is_refused_before_anything_is_read(
     def reads(*arguments: object, **settings: object) -> None:
         raise AssertionError("read before it was known that nothing can be written")
 
-    for name in ("read_trace", "read_recordings"):
-        monkeypatch.setattr(f"valve_sim.{'traces' if name == 'read_trace' else 'cli.reading'}.{name}", reads)
+    monkeypatch.setattr("valve_sim.recordings.read_trace", reads)
     (tmp_path / "file").touch()
     given = [own.format(bag=strokes, ok=tmp_path) for own in (*command, option, place)]
     result = run(*given)

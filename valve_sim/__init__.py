@@ -7,6 +7,7 @@
     trace = vs.read("bags/friction")           # or of any log: vs.read("scope.csv", "map.yaml")
     fitted = vs.identify(trace, valve)         # dampings, or what `free` names
     found = vs.diagnose(trace, valve)          # which effect the valve lacks
+    vs.validate("bags/friction", valve).passed # whether it predicts a recording, named by its path
     print(found), found.table(), found.residual(), found.plot()
 
 Names are loaded when they are first asked for, so that a program that needs one of them does not wait for all.
@@ -28,10 +29,12 @@ if TYPE_CHECKING:
         Identification,
         Residual,
         Simulation,
+        Validation,
         diagnose,
         identify,
         read,
         simulate,
+        validate,
     )
     from valve_sim.files.parameter_files import default_valve, load_valve
     from valve_sim.files.plant_files import load_plant
@@ -49,6 +52,7 @@ __all__ = [
     "Identification",
     "Residual",
     "Simulation",
+    "Validation",
     "Valve",
     "default_valve",
     "diagnose",
@@ -58,6 +62,7 @@ __all__ = [
     "load_valve",
     "read",
     "simulate",
+    "validate",
 ]
 
 _MODULES: Final = {
@@ -66,10 +71,12 @@ _MODULES: Final = {
         "Identification",
         "Residual",
         "Simulation",
+        "Validation",
         "diagnose",
         "identify",
         "read",
         "simulate",
+        "validate",
     ),
     "files.parameter_files": ("default_valve", "load_valve"),
     "files.plant_files": ("load_plant",),

@@ -28,8 +28,11 @@ from valve_sim.identification.fit.budget import Budget
 from valve_sim.identification.fit.result import Fit
 from valve_sim.identification.plants.own import OwnPlant
 from valve_sim.identification.plants.protocol import primary_channels
+from valve_sim.identification.validation import replay
+from valve_sim.identification.validation.own_plant import validate_plant
 from valve_sim.model import Drive, Response, Valve, published_times
 from valve_sim.model import simulate as run_valve
+from valve_sim.model.errors import ParameterError
 from valve_sim.recordings import (
     Trace,
     TraceError,
@@ -40,7 +43,7 @@ from valve_sim.recordings import (
     refuse_doubtful_units,
 )
 from valve_sim.recordings.columns import Columns
-from valve_sim.recordings.table_reading import has_own_columns, is_table
+from valve_sim.recordings.reading import is_own_table, is_table
 
 if TYPE_CHECKING:
     from valve_sim.identification.reporting.figures import Picture
@@ -50,13 +53,18 @@ __all__ = [
     "Identification",
     "Residual",
     "Simulation",
+    "Validation",
     "diagnose",
     "identify",
     "read",
     "simulate",
+    "validate",
 ]
 
 Progress = Callable[[str, float], None]
+Given = Trace | Columns | str | PathLike[str]
+"""A recording, or where it is: `read` then reads it, without a map."""
+Recordings = Given | Sequence[Given]
 
 
 class Residual(NamedTuple):
@@ -251,6 +259,20 @@ class Diagnosis(outcome.Diagnosis):
         return write_diagnosis(self, folder, "made in Python by valve_sim.diagnose")
 
 
+@dataclass(frozen=True, repr=False)
+class Validation(replay.Validation):
+    """A replay: the fields of `valve_sim.identification.validation.replay.Validation`, such as `passed`.
+
+    `print` shows what `valve-sim validate` prints.
+    """
+
+    def __str__(self) -> str:
+        """The report for a terminal."""
+        from valve_sim.identification.reporting.validation_document import validation_document
+
+        return validation_document(self).to_text()
+
+
 def simulate(valve: Valve, drive: Drive, times: ArrayLike, *, start_time: float | None = None) -> Simulation:
     """Simulate a valve that rests until its first command.
 
@@ -293,9 +315,7 @@ def read(
     if plant is not None:
         return columns.read(path, recording_map)
     if recording_map is None:
-        return (
-            read_trace(path, valve) if not is_table(Path(path)) or has_own_columns(Path(path)) else columns.read(path)
-        )
+        return read_trace(path, valve) if not is_table(Path(path)) or is_own_table(Path(path)) else columns.read(path)
     where = "map" if isinstance(recording_map, Mapping) else str(recording_map)
     found = recording_map if isinstance(recording_map, Mapping) else read_yaml(where, "expected a map", MapError)
     if isinstance(found, Mapping) and not is_of_valve(found):
@@ -304,7 +324,7 @@ def read(
 
 
 def identify(
-    recordings: Trace | Columns | Sequence[Trace] | Sequence[Columns],
+    recordings: Recordings,
     machine: Valve | PlantFile | None = None,
     free: Sequence[str] | None = None,
     *,
@@ -313,7 +333,7 @@ def identify(
     """Refit parameters of a declared machine to recordings.
 
     Args:
-        recordings: from `read`: one, or several of the same machine.
+        recordings: from `read`, or paths that need no map: one, or several of the same machine.
         machine: as it is declared: a valve, or what `load_plant` returns; default: the shipped valve.
         free: names to refit, such as "main_damping", "gas.outlet_volume" or "stiction.force"; default: the dampings of
             a valve, and of a plant file what it declares `free`.
@@ -327,15 +347,15 @@ def identify(
     if isinstance(machine, PlantFile):
         found = fitting.identify_plant(OwnPlant(machine, _columns(recordings, machine)), free, progress)
     else:
-        declared = machine or default_valve()
+        declared = _declared(machine)
         found = fitting.identify(_usable(recordings, declared), declared, free, progress)
     return Identification(**_fields_of(found))
 
 
 def diagnose(
-    recordings: Trace | Columns | Sequence[Trace] | Sequence[Columns],
+    recordings: Recordings,
     machine: Valve | PlantFile | None = None,
-    holdout: Trace | Columns | Sequence[Trace] | Sequence[Columns] = (),
+    holdout: Recordings = (),
     *,
     budget: Budget | None = None,
     progress: Progress | None = None,
@@ -343,7 +363,7 @@ def diagnose(
     """Find the effect that a declared machine lacks.
 
     Args:
-        recordings: from `read`: one, or several of the same machine: what is fitted.
+        recordings: from `read`, or paths that need no map: one, or several of the same machine: what is fitted.
         machine: as it is declared: a valve, or what `load_plant` returns; default: the shipped valve.
         holdout: recordings that are predicted and take no part in the fit; default: parts of `recordings` are held out.
         budget: how much may be simulated, such as `Budget.of_seconds(120)`; default: as much as it takes.
@@ -357,19 +377,66 @@ def diagnose(
         others = _columns(holdout, machine)
         plants = OwnPlant(machine, _columns(recordings, machine)), OwnPlant(machine, others) if others else None
         return Diagnosis(**_fields_of(run.diagnose_plant(*plants, progress, budget)))
-    declared = machine or default_valve()
+    declared = _declared(machine)
     found = run.diagnose(_usable(recordings, declared), _usable(holdout, declared), declared, progress, budget)
     return Diagnosis(**_fields_of(found))
 
 
-def _columns(recordings: Trace | Columns | Sequence[Trace] | Sequence[Columns], plant: PlantFile) -> list[Columns]:
+def validate(
+    recordings: Recordings,
+    machine: Valve | PlantFile | None = None,
+    tolerance: float | None = None,
+    *,
+    progress: Progress | None = None,
+) -> Validation:
+    """Replay recordings on a declared machine, and compare.
+
+    Args:
+        recordings: from `read`, or paths that need no map: one, or several of the same machine.
+        machine: as it is declared: a valve, or what `load_plant` returns; default: the shipped valve.
+        tolerance: root mean square of the error that a stroke may have, of a valve's position in m; default: three
+            times the standard deviation of what is predicted.
+        progress: told what is being done, and the fraction done; of valves.
+
+    Raises:
+        SimulationError: the declared machine cannot be simulated.
+        TraceError: a recording cannot be used, say because its positions are in mm and taken for m.
+    """
+    if isinstance(machine, PlantFile):
+        found = validate_plant(OwnPlant(machine, _columns(recordings, machine)), tolerance)
+    else:
+        declared = _declared(machine)
+        found = replay.validate(_usable(recordings, declared), declared, tolerance, progress=progress)
+    return Validation(**_fields_of(found))
+
+
+def _listed(recordings: Recordings, plant: PlantFile | None = None) -> list[Trace | Columns]:
+    """One recording or several, those that are paths as `read` reads them."""
+    one = (Trace, Columns, str, PathLike)
+    given = list(recordings) if isinstance(recordings, Iterable) and not isinstance(recordings, one) else [recordings]
+    for own in given:
+        if not isinstance(own, one):
+            raise TraceError(f"recordings: found {type(own).__name__}, expected one from vs.read, or its path")
+    return [read(own, None, plant) if isinstance(own, (str, PathLike)) else own for own in given]
+
+
+def _declared(machine: Valve | None) -> Valve:
+    if machine is not None and not isinstance(machine, Valve):
+        raise ParameterError(
+            f"machine: found {type(machine).__name__}, expected a valve from vs.load_valve, or a machine from "
+            "vs.load_plant"
+        )
+    return machine or default_valve()
+
+
+def _columns(recordings: Recordings, plant: PlantFile) -> list[Columns]:
     """Recordings of a machine that is no valve.
 
     Raises:
         TraceError: one was read as that of a valve.
     """
     found = []
-    for recording in [recordings] if isinstance(recordings, (Trace, Columns)) else recordings:
+    for recording in _listed(recordings, plant):
         if isinstance(recording, Trace):
             raise TraceError(
                 f"{recording.source}: was read as a valve's; read it with vs.read(path, map, plant) for {plant.path}"
@@ -378,14 +445,14 @@ def _columns(recordings: Trace | Columns | Sequence[Trace] | Sequence[Columns], 
     return found
 
 
-def _usable(traces: Trace | Columns | Sequence[Trace] | Sequence[Columns], valve: Valve) -> list[Trace]:
+def _usable(recordings: Recordings, valve: Valve) -> list[Trace]:
     """Recordings of a valve as fits take them; what makes one doubtful is a warning.
 
     Raises:
         TraceError: its numbers are in another unit, or it is another machine's.
     """
     found = []
-    for trace in [traces] if isinstance(traces, (Trace, Columns)) else traces:
+    for trace in _listed(recordings):
         if isinstance(trace, Columns):
             raise TraceError(
                 f"{trace.source}: is not read as a valve's; read it with a map, or give its machine, from vs.load_plant"

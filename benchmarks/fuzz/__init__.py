@@ -21,15 +21,27 @@ from types import FrameType
 from typing import Final
 
 import numpy as np
+from model.gas.cases import Case, ours
 
-from benchmarks.accuracy import Case, ours
 from benchmarks.fuzz.command_lines import try_command_line
 from benchmarks.fuzz.slips import try_recording
 from valve_sim.files.bounded import table_text
 from valve_sim.files.data_tables import open_table
 from valve_sim.files.parameter_files import load_valve
 from valve_sim.files.recording_map import map_from
-from valve_sim.model import CATALOGUE, DECLARED, Drive, Parameter, SimulationError, Valve, simulate
+from valve_sim.model import (
+    CATALOGUE,
+    DECLARED,
+    Drive,
+    Parameter,
+    Phase,
+    Response,
+    SimulationError,
+    Stepper,
+    Tag,
+    Valve,
+    simulate,
+)
 from valve_sim.model.errors import ValveError
 from valve_sim.recordings import TraceError, list_valves, read_trace
 
@@ -46,6 +58,11 @@ MOST_SLIPS: Final = 1_000_000
 """Recordings with a slip that can be drawn."""
 GENTLE: Final = 1e-9
 """m: how far beyond its contacts a valve may be."""
+SECONDS: Final = 0.02
+"""Of a valve's run."""
+MOST_EVENTS: Final = 20_000
+"""In it: a contact slower than 1 or 5 mm/s does not rebound, so there cannot be many."""
+SENSORS: Final = tuple(effect.name for effect in CATALOGUE.tagged(Tag.SENSOR))
 BEYOND: Final = 1e-6
 """Share by which a pressure may be beyond those between which it must stay."""
 
@@ -263,17 +280,41 @@ def try_file(random: Random, folder: Path) -> None:
     assert all(math.isfinite(value) for value in load_valve(bad_file(random, folder)).declared().values())
 
 
+def any_commands(random: Random) -> list[tuple[float, float]]:
+    """Up to six commands, s and V, of voltages that a coil gets, and of others."""
+    times = np.sort(random.uniform(0.0, SECONDS, int(random.integers(1, 7))))
+    volts = [float(random.choice([0.0, 9.0, -9.0, 30.0, random.uniform(-1e4, 1e4)])) for _ in times]
+    return list(zip(times.tolist(), volts, strict=True))
+
+
 def try_valve(random: Random, folder: Path) -> None:
-    """Simulate a valve through a pulse."""
-    valve = any_valve(random)
-    volts = float(random.uniform(-30.0, 30.0))
-    response = simulate(valve, Drive.of([0.0, 0.01], [volts, 0.0]), np.linspace(0.0, 0.02, 40))
-    stroke, gain = valve.after_effects("stroke", "sensor_gain")
-    assert np.isfinite(response.pilot_velocity).all()
-    assert np.all(response.pilot_position >= -GENTLE)
-    # A stop that gives way lets the plungers in beyond the stroke.
-    most = math.inf if "stop_compliance" in valve.effects else (stroke + GENTLE) * max(1.0, gain)
-    assert np.all(response.pilot_position <= most)
+    """Simulate a valve whole and in steps: all is finite, plungers stay between their contacts, events are in order."""
+    valve, commands = any_valve(random), any_commands(random)
+    response = simulate(valve, Drive.of(*zip(*commands, strict=True)), np.linspace(0.0, SECONDS, 200))
+    for name in ("pilot_position", "main_position", "pilot_velocity", "coil_current", "attraction"):
+        assert np.isfinite(getattr(response, name)).all(), name
+    times = [event.time for event in response.events]
+    assert times == sorted(times) and len(times) < MOST_EVENTS
+    stepper, waiting = Stepper(valve), list(commands)
+    for time in np.arange(step := 10.0 ** random.uniform(-5.0, -2.3), SECONDS, step).tolist():
+        while waiting and waiting[0][0] <= time:
+            stepper.command(*waiting.pop(0))
+        assert all(math.isfinite(value) for value in stepper.advance(time)[:8])
+    # A stop that gives way lets the plungers in beyond the stroke; a sensor shows another place.
+    if not {"stop_compliance", *SENSORS} & valve.effects.keys():
+        _are_between_contacts(valve, response)
+
+
+def _are_between_contacts(valve: Valve, response: Response) -> None:
+    """Plungers are between seat and stop, and where their phase says."""
+    gap, stroke = valve.after_effects("pilot_gap", "stroke")
+    pilot, main = response.pilot_position, response.main_position
+    assert np.all((pilot >= -GENTLE) & (pilot <= stroke + GENTLE))
+    assert np.all((main >= -GENTLE) & (main <= stroke - gap + GENTLE))
+    for phase, place in ((Phase.CLOSED, 0.0), (Phase.GAP_HOLD, gap), (Phase.OPEN, stroke)):
+        assert np.all(np.abs(pilot[response.phase == phase] - place) <= GENTLE), phase
+    for event in response.events:
+        assert -GENTLE <= event.position <= stroke + GENTLE and math.isfinite(event.velocity)
 
 
 def any_gas(random: Random) -> Case:

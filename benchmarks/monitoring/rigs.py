@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import math
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
-from functools import lru_cache
+from collections.abc import Iterable, Sequence
 from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
-from identification.live_strokes import LiveValve, feed
+from identification.live_coil import NOISE, LiveCoil, course
+from identification.live_strokes import LiveValve, feed, hand_over
 from identification.one_thread import Monitor
 from identification.test_current_alone import declared as declared_coil
 from model.gas.cases import gas_valve, independent
-from plants.coil_alone import Build, Course
-from plants.coil_alone import simulate as simulate_coil
+from plants.coil_alone import Build
 
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.monitoring.fault_isolation import FaultFinding, isolate_fault
@@ -23,9 +20,6 @@ from valve_sim.identification.monitoring.findings import StrokeState
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
 from valve_sim.identification.reporting.monitor_messages import finding_words
-from valve_sim.model import Valve
-
-Effects = Mapping[str, Mapping[str, float]]
 
 
 class Rig(Protocol):
@@ -118,29 +112,15 @@ def rising(force: float, healthy: int, growing: int, staying: int) -> list[float
 
 
 class PositionRig:
-    """A live valve whose position is seen; a fault is effects with their parameters, or a friction, N."""
+    """A live valve whose position is seen; a fault is a friction, N."""
 
-    def __init__(self, live: LiveValve, valve: Valve | None = None) -> None:
-        self.live, self.valve = live, valve or default_valve()
-        self.monitor = Monitor(self.valve.exact(), refit=False)
+    def __init__(self, live: LiveValve) -> None:
+        self.live, self.monitor = live, Monitor(default_valve().exact(), refit=False)
 
-    def stroke(self, fault: Effects | float | None = None, **parameters: Any) -> list[StrokeReport]:
-        """One stroke; `parameters` are declared values that are others now."""
-        if isinstance(fault, float):
-            fault = {"coulomb_friction": {"force": fault}} if fault else None
-        return list(feed(self.monitor, self.live.stroke(self.valve.effects if fault is None else fault, **parameters)))
-
-    def limits(self, strokes: int) -> tuple[Mapping[str, Mapping[str, float]], Any]:
-        """What a diagnosis says would have shown in the last strokes, and the plant that says so."""
-        from valve_sim.identification.diagnosis.run import diagnose_plant
-        from valve_sim.identification.monitoring.fault_isolation import join
-        from valve_sim.identification.plants.valve import ValvePlant
-
-        watching = self.monitor.stroke_monitor
-        assert watching.baseline is not None
-        recording = join(watching.evidence()[-strokes:], replace(watching.baseline, lateness=0.0))
-        plant = ValvePlant([recording], self.valve.exact())
-        return diagnose_plant(plant, None).detection_limits, plant
+    def stroke(self, fault: float | None = None) -> list[StrokeReport]:
+        """One stroke."""
+        effects = {"coulomb_friction": {"force": fault}} if fault else {}
+        return list(feed(self.monitor, self.live.stroke(effects)))
 
 
 def drawn_rig(seed: int, jitter: float, *, colours: bool = False, **errors: float) -> PositionRig:
@@ -160,19 +140,10 @@ def drawn_rig(seed: int, jitter: float, *, colours: bool = False, **errors: floa
 
 LEVELS: Final = (9.0, 12.0, 7.5, 14.0, 10.3, 8.4, 13.0, 11.2)
 """V, one stroke each, over and over."""
-RATE, NOISE, VOLTAGE_NOISE = 5e3, 1e-3, 5e-3
-"""Hz, A, V."""
-COMMANDS: Final = np.array([0.020, 0.050])
-PERIOD, LATEST = 0.100, 3e-3
-"""s, as are the commands. At the end of a period no valve here has any current left: each stroke begins at rest."""
+PERIOD: Final = 0.100
+"""s. At the end of a period no valve here has any current left: each stroke begins at rest."""
 DETECTABLE: Final = 3.3
 """Standard deviations."""
-
-
-@lru_cache(maxsize=64)
-def course(build: Build, volts: float) -> Course:
-    """One stroke of a coil's valve, without noise."""
-    return simulate_coil(build, COMMANDS, np.array([volts, 0.0]), (np.arange(round(PERIOD * RATE)) + 0.37) / RATE)
 
 
 class CoilRig:
@@ -193,36 +164,18 @@ class CoilRig:
             eddy_resistance=50.0,
         )
         self.monitor = Monitor(declared_coil(self.build), refit=False)
-        self._has_voltage = seed % 2 == 0
-        self._random = np.random.default_rng([seed, 21])
-        self._strokes = 0
+        random = np.random.default_rng([seed, 21])
+        self._coil = LiveCoil(self.monitor, random, LEVELS, PERIOD, has_voltage=seed % 2 == 0)
 
     def stroke(self, fault: float | None = None) -> list[StrokeReport]:
         """One stroke."""
-        build = self.build._replace(friction=fault) if fault is not None else self.build
-        volts, begin = LEVELS[self._strokes % len(LEVELS)], PERIOD * self._strokes
-        shown, random = course(build, volts), self._random
-        times = begin + shown.times
-        current = shown.current + NOISE * random.standard_normal(len(times))
-        voltage = shown.voltage + VOLTAGE_NOISE * random.standard_normal(len(times))
-        received = begin + COMMANDS + self._has_voltage * LATEST * random.uniform(size=2)
-        if not self._has_voltage:
-            voltage[:] = math.nan
-        edges = [0, *np.searchsorted(times, received), len(times)]
-        reports = []
-        for part, first in enumerate(edges[:-1]):
-            if part:
-                reports += self.monitor.command(float(received[part - 1]), (volts, 0.0)[part - 1])
-            chosen = slice(first, edges[part + 1])
-            reports += self.monitor.measure_currents(times[chosen], current[chosen], voltage[chosen])
-        self._strokes += 1
-        return reports
+        return self._coil.stroke(self.build if fault is None else self.build._replace(friction=fault))
 
     def detection_limit(self) -> float:
         """N of friction whose change of eight strokes' current stands out when both dampings are refitted."""
 
         def currents(build: Build) -> np.ndarray:
-            return np.concatenate([course(build, volts).current for volts in LEVELS])
+            return np.concatenate([course(build, volts, PERIOD).current for volts in LEVELS])
 
         healthy, tangents = currents(self.build), []
         for name in ("pilot_damping", "main_damping"):
@@ -275,10 +228,4 @@ class GasRig:
         waiting = [(on + float(late[0]), volts), (off + float(late[1]), 0.0)]
         shown = position + self.NOISE * self._random.standard_normal(len(times))
         self._strokes += 1
-        return list(self._fed(waiting, times.tolist(), shown.tolist()))
-
-    def _fed(self, waiting: list[tuple[float, float]], times: Any, shown: Any) -> Iterator[StrokeReport]:
-        for at, position in zip(times, shown, strict=True):
-            while waiting and waiting[0][0] <= at:
-                self.monitor.command(*waiting.pop(0))
-            yield from self.monitor.measure(at, position)
+        return [report for reports in hand_over(self.monitor, waiting, times, shown) for report in reports]

@@ -22,7 +22,7 @@ from valve_sim.nodes.profile_playing import ProfileSettings
 from valve_sim.nodes.settings import IdentificationSettings, MonitorNodeSettings
 from valve_sim.nodes.topics import Topic
 from valve_sim.nodes.valve_parameters import ValveSettings
-from valve_sim.recordings.table_reading import OWN_COLUMNS
+from valve_sim.recordings.layout import OWN_COLUMNS
 from valve_sim.station import tables as station
 
 _TOPICS: Final = {
@@ -208,7 +208,9 @@ def _effects() -> Iterator[str]:
         "[Model and events](../theory/model.md): $F$ is a force that is added, + opens, $F_f$ the level of a dry "
         "friction, and an arrow shows what becomes of a declared value. Parameters of the effect go by their names. "
         "An effect without a formula here acts on a sensor (11), on a contact (13), (15), on the current that pulls "
-        "(8), or on the [gas](../gas.md#equations), or is a [smooth curve](../theory/selection.md#11-smooth-curves)."
+        "(8), or on the [gas](../gas.md#equations), or is a [smooth curve](../theory/selection.md#11-smooth-curves). "
+        "The prior scale is how large a parameter may well be before the data are seen: "
+        "[theory](../theory/selection.md#3-hypotheses-and-the-priors-of-what-they-free)."
     )
     yield "Without effects a valve without gas moves by these equations, in Phase 1, in Phase 2, and its current $u$:"
     for formula in equations_without_effects():
@@ -226,13 +228,13 @@ def _effects() -> Iterator[str]:
         for formula in formulas_of(effect):
             yield f"$$\n{formula}\n$$"
         rows = [
-            (f"`{p.name}`", p.unit, p.description, f"{p.lower:g} … {p.upper:g}", _off(p))
+            (f"`{p.name}`", p.unit, p.description, f"{p.lower:g} … {p.upper:g}", _off(p), f"{p.prior_scale:g}")
             for p in effect.parameters
             if p.name in effect.given_names
         ]
         if (whole := effect.given_as_list) is not None:
-            rows.append((f"`{whole.name}`", whole.unit, whole.description, whole.range_words, "all 0"))
-        yield _table(("parameter", "unit", "meaning", "range", "off"), rows)
+            rows.append((f"`{whole.name}`", whole.unit, whole.description, whole.range_words, "all 0", "–"))
+        yield _table(("parameter", "unit", "meaning", "range", "off", "prior scale"), rows)
 
 
 def _off(parameter: Parameter) -> str:

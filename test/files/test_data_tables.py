@@ -109,6 +109,9 @@ FORMS: dict[str, tuple[str | bytes, object, str]] = {
     "dates of MATLAB": (
         "t,lift\n" + rows("{d:%d-%b-%Y %H:%M:%S.%f},{x}"), {"column": "t", "format": "%d-%b-%Y %H:%M:%S.%f"}, "lift",
     ),
+    "durations of MATLAB": ("Time,lift\n" + rows("{t} sec,{x}"), "Time", "lift"),
+    "units in the cells": ("t;lift\n" + rows("{ms} ms;{x} mm", comma=True), {"column": "t", "unit": "ms"}, "lift"),
+    "commas alone above": (",,\n" + rows("{t},{x}"), 1, "2"),
     "Fortran": ("t lift\n" + rows("{t}D+00 {x}D+00"), "t", "lift"),
     "LabVIEW": (LABVIEW + "X_Value\tlift\tVoltage 1\tComment\n" + rows("{t}\t{x}\t9\t", comma=True), "X_Value", "lift"),
     "Campbell": (CAMPBELL + rows('"{d:%Y-%m-%d %H:%M:%S.%f}",{n},{x},"NAN"'), "TIMESTAMP", "lift"),
@@ -178,13 +181,53 @@ def test_a_broken_row_is_named_and_none_is_lost(place: int, line: str, tmp_path:
 
 
 @pytest.mark.parametrize(
-    ("end", "words"), [("0.012", "'0.012'"), ("End of data", "'End of data'"), ("\nmax,over all", "'max,over all'")]
+    ("end", "words"),
+    [
+        ("0.012", "'0.012'"),
+        ("End of data", "'End of data'"),
+        ("\nmax,over all", "'max,over all'"),
+        ("\nMin,0\nMax,1.25", "'Max,1.25'"),
+    ],
 )
 def test_what_follows_the_numbers_is_left_out_and_said(end: str, words: str, tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("t,lift\n" + rows("{t},{x}") + end)
     table = open_table(tmp_path / "a.csv")
     np.testing.assert_allclose(table.column("lift"), LIFTS)
     assert words in table.findings[0]
+
+
+@pytest.mark.parametrize("line", ["# trigger", "t,lift"])
+def test_comments_and_a_head_that_stands_again_among_the_numbers_are_left_out_and_said(
+    line: str, tmp_path: Path
+) -> None:
+    lines = ["t,lift", *rows("{t},{x}").splitlines()]
+    (tmp_path / "a.csv").write_text("\n".join([*lines[:4], line, *lines[4:9], line, *lines[9:]]))
+    table = open_table(tmp_path / "a.csv")
+    np.testing.assert_array_equal(table.column("lift"), LIFTS)
+    assert [
+        finding
+        for finding in table.findings
+        if f"2 lines among the numbers left out, such as {line!r} in line 5" in finding
+    ]
+    assert table.place(4) == "line 7"
+
+
+@pytest.mark.parametrize(
+    ("head", "interval"),
+    [
+        (LABVIEW + "Comment\tlift\tu\n", 1e-3),
+        ("X,lift,Start,Increment\nSequence,Volt,0,1e-3\n", 1e-3),
+        ("# Sample rate;2 kHz\n# n;lift\n", 0.5e-3),
+        ("Abtastrate: 2000 Hz\nn;lift\n", 0.5e-3),
+        ("Sampling interval [s],0.002\nn,lift\n", 2e-3),
+        ("Sample Interval,250 us\nn,lift\n", 0.25e-3),
+        ("Rate of the pump,50\nn,lift\n", 0.0),
+    ],
+)
+def test_a_head_states_the_interval_between_rows(head: str, interval: float, tmp_path: Path) -> None:
+    mark = next(own for own in ";\t," if own in head.splitlines()[-1])
+    (tmp_path / "a.csv").write_text(head + rows("{n}").replace("\n", f"{mark}9\n"))
+    assert open_table(tmp_path / "a.csv").interval[0] == pytest.approx(interval)
 
 
 @pytest.mark.parametrize(
@@ -212,6 +255,7 @@ CELLS = {
     math.inf: ("∞", "inf", "1.#INF", "OVERLOAD", "OL", "over range"),
     -math.inf: ("-∞", "-1.#INF", "-Infinity"),
     1234567.5: ("1234567,5", "1,234,567.5", "1.234.567,5", "1'234'567.5", "1.2345675D6"),
+    -2.5: ("-2.5", "\u22122,5"),
     2000.0: ("2000", "2E3", "2e+3"),
     None: ("ERROR 7", "12:00:01", "1_000", "open"),
 }

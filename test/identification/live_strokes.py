@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -161,3 +161,14 @@ def feed(monitor: Any, stroke: LiveStroke, current: FloatArray | None = None, la
 
 def _ticks(stroke: LiveStroke) -> FloatArray:
     return np.arange(stroke.times[0] + BATCH, stroke.times[-1], BATCH)
+
+
+def hand_over(receiver: Any, commands: Sequence[tuple[float, float]], times: Any, positions: Any) -> Iterator[Any]:
+    """Hand samples over one by one, each behind the commands up to it; what the receiver answers to each sample."""
+    waiting = list(commands)
+    for time, position in zip(np.asarray(times).tolist(), np.asarray(positions).tolist(), strict=True):
+        answers = []
+        while waiting and waiting[0][0] <= time:
+            answers += receiver.command(*waiting.pop(0)) or []
+        found = receiver.measure(time, position)
+        yield [*answers, *found] if isinstance(found, list) else found

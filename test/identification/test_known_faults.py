@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -74,15 +73,6 @@ def test_what_explains_nearly_all_is_named_beside_a_remainder_that_held_out_data
     found = diagnose_plant(train, other)
     assert found.before.holdout_rmse > 8.0 * found.after.holdout_rmse
     assert (found.verdict.kind, found.verdict.effects) == ("effects", ("strong",))
-
-
-@pytest.mark.long
-def test_an_effect_that_has_grown_is_named() -> None:
-    """Fault 22."""
-    declared = replace(DECLARED, effects={"coulomb_friction": {"force": 0.1}})
-    grown = recorded(COARSE, effects={"coulomb_friction": {"force": 0.3}})
-    found = diagnosed(grown, declared, ["coulomb_friction", "constant_force"])
-    assert "coulomb_friction" in named(found)
 
 
 def test_a_wrong_declared_value_gets_no_confident_other_name() -> None:

@@ -123,11 +123,6 @@ def test_diagnose_names_the_friction(rubbing: Path, tmp_path: Path) -> None:
     assert load_valve(tmp_path / "corrected.yaml").parameters.has_one_plunger
 
 
-def test_identify_on_the_command_line_refuses_an_unused_name(rubbing: Path, tmp_path: Path) -> None:
-    options = ("--params", FILE, "--free", "pilot_damping", "--output", tmp_path)
-    assert "pilot_damping is unused in a valve with one plunger" in run("identify", rubbing, *options, code=2)
-
-
 def test_the_live_valve_goes_from_closed_to_main_to_open_and_back(shipped: Valve) -> None:
     live = LiveValve(shipped)
     live.restart(0, 0)

@@ -2,15 +2,9 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-from typing import Any
-
 import numpy as np
-from hypothesis import assume
-from hypothesis import strategies as st
 
-from valve_sim.model import CATALOGUE, DECLARED, Drive, Parameter, ParameterError, Valve
+from valve_sim.model import Drive, Valve
 
 TIMES = np.arange(1, 251) * 1e-4
 """s: a stroke up and a stroke down."""
@@ -59,34 +53,3 @@ def random_valve(seed: int) -> tuple[Valve, Drive]:
         str(name): {key: float(random.uniform(*limits)) for key, limits in RANGES[name].items()} for name in names
     }
     return Valve(base.parameters, effects), Drive.of([1e-3, 16e-3], [random.uniform(8, 14), 0.0])
-
-
-def values(parameter: Parameter, prior_scale: float) -> st.SearchStrategy[float]:
-    """Its ends, zero, and anything from a ten-thousandth to a thousand times what is typical."""
-    sizes = st.floats(-4.0, 3.0).map(lambda decades: abs(prior_scale or 1e-3) * 10.0**decades)
-    signed = st.builds(math.copysign, sizes, st.sampled_from((1.0, -1.0)))
-    ends = [end for end in (parameter.lower, parameter.upper, 0.0) if math.isfinite(end)]
-    return st.one_of(signed, st.sampled_from(ends)).map(lambda value: min(max(value, parameter.lower), parameter.upper))
-
-
-@st.composite
-def any_valves(draw: st.DrawFn, names: Sequence[str], most: int) -> Valve:
-    """Up to five declared parameters, and so many of these effects, anywhere in their ranges.
-
-    What is refused, in one line, is drawn anew.
-    """
-    usual = Valve().with_values(a0=3.0336, coil_time_constant=1e-3)
-    declared: dict[str, Any] = usual.to_mapping()["valve"]
-    for name in draw(st.lists(st.sampled_from([name for name in DECLARED if name in declared]), max_size=5)):
-        declared[name] = draw(values(DECLARED[name], declared[name]))
-    chosen = draw(st.lists(st.sampled_from(names), max_size=most, unique=True))
-    effects = {
-        name: {entry.name: draw(values(entry, entry.prior_scale)) for entry in CATALOGUE[name].parameters}
-        for name in chosen
-    }
-    try:
-        return Valve.from_mapping({"valve": declared, "effects": effects}, "drawn")
-    except ParameterError as error:
-        assert "\n" not in str(error)
-        assume(False)
-        raise

@@ -8,7 +8,6 @@ import math
 import numpy as np
 import pytest
 
-from valve_sim import model
 from valve_sim.model import (
     CATALOGUE,
     Drive,
@@ -165,8 +164,3 @@ def test_currents_follow_the_exponential_however_samples_are_spaced(time_constan
         start = target + (start - target) * (math.exp(-(end - begin) / time_constant) if time_constant else 0.0)
     at_command = np.isclose(times[:, None], commands, rtol=0.0, atol=1e-12).any(axis=1)
     assert np.abs(shown - expected)[~at_command].max() < 1e-12
-
-
-def test_every_name_of_the_model_is_loaded_when_asked_for() -> None:
-    assert [name for name in model.__all__ if getattr(model, name, None) is None] == []
-    assert not hasattr(model, "simulat")

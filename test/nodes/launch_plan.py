@@ -11,6 +11,8 @@ from types import ModuleType, SimpleNamespace
 from typing import Any, NamedTuple
 from unittest import mock
 
+import yaml
+
 from .ros_process import running
 
 
@@ -65,18 +67,28 @@ class Node(NamedTuple):
         """All its parameters beside those of files."""
         return {name: value for part in self.parameters for name, value in part.items()}
 
-    def command_line(self, values: Mapping[str, str]) -> list[str]:
-        """The words after the executable's name."""
+    def with_values(self, values: Mapping[str, str]) -> Node:
+        """The node with these arguments in place of their names, as launch_ros puts them in: as YAML."""
 
-        def text(value: Any) -> str:
-            found = values[value.name] if isinstance(value, LaunchConfiguration) else value
-            return str(found).lower() if isinstance(found, bool) else str(found)
+        def filled(value: Any) -> Any:
+            return yaml.safe_load(values[value.name]) if isinstance(value, LaunchConfiguration) else value
 
-        words = ["--ros-args", *map(text, self.ros_arguments)]
-        words += ["-r", f"__node:={self.name}", "-r", f"__ns:=/{text(self.namespace)}"]
-        for name, value in self.given.items():
-            words += ["-p", f"{name}:={text(value)}"]
-        return words
+        return self._replace(
+            namespace=filled(self.namespace),
+            parameters=[{name: filled(value) for name, value in part.items()} for part in self.parameters],
+        )
+
+    def command_line(self, folder: Path) -> list[str]:
+        """The words after the executable's name; its parameters are in a file of this folder."""
+        words = ["--ros-args", *map(str, self.ros_arguments)]
+        words += ["-r", f"__node:={self.name}", "-r", f"__ns:=/{self.namespace}"]
+        if not self.given:
+            return words
+        file = folder / f"launch_params{self.full_name.replace('/', '_')}"
+        # As launch_ros: it makes tuples of lists and dumps them with the tag of Python's.
+        given = {key: tuple(value) if isinstance(value, list) else value for key, value in self.given.items()}
+        file.write_text(yaml.dump({self.full_name: {"ros__parameters": given}}, default_flow_style=False))
+        return [*words, "--params-file", str(file)]
 
 
 class LaunchPlan(NamedTuple):
@@ -87,9 +99,10 @@ class LaunchPlan(NamedTuple):
 
     def started(self, **values: str) -> list[Node]:
         """The nodes that are started with these values of arguments, the others as they are by default."""
-        context = SimpleNamespace(launch_configurations={**self.arguments, **values})
+        given = {**self.arguments, **values}
+        context = SimpleNamespace(launch_configurations=given)
         made = [entry.function(context) if isinstance(entry, OpaqueFunction) else [entry] for entry in self.entries]
-        return [node for nodes in made for node in nodes if isinstance(node, Node)]
+        return [node.with_values(given) for nodes in made for node in nodes if isinstance(node, Node)]
 
     @contextlib.contextmanager
     def running(self, folder: Path, namespaces: Collection[str], **values: str) -> Iterator[None]:
@@ -97,7 +110,7 @@ class LaunchPlan(NamedTuple):
         with contextlib.ExitStack() as stack:
             for node in self.started(**values):
                 if node.namespace in namespaces:
-                    stack.enter_context(running(folder, node.command_line(self.arguments), node.executable))
+                    stack.enter_context(running(folder, node.command_line(folder), node.executable))
             yield
 
 

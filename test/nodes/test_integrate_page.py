@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from nodes.ros import Float64, JointState, QoSProfile, Range, ReliabilityPolicy, Time
-from valve_sim.nodes import topics
 
 from .launch_plan import ExecuteProcess, IncludeLaunchDescription, Node, read_launch_file
 from .ros_process import Diagnostics, Probe, ended, piped, running
@@ -70,21 +69,3 @@ def test_a_launch_file_that_includes_ours_gives_arguments_that_there_are(name: s
             assert Path(entry.cmd[1]).is_file()
     remapped = {old for node in plan.entries if isinstance(node, Node) for old, _ in node.remappings}
     assert remapped == ({"valve/measured/joint_states"} if name.startswith("integrated") else set())
-
-
-def test_the_qos_that_the_page_repeats_is_that_of_the_tables() -> None:
-    page = (ROOT / "docs" / "how_to" / "integrate.md").read_text(encoding="utf-8")
-    rows = [row.strip("| ").split(" | ") for row in page.split("## Match the QoS")[1].split("\n## ")[0].splitlines()]
-    tables = {"valve_node": (*topics.VALVE, *topics.GAS), "monitor_node": topics.MONITOR}
-    told = [row for row in rows if row[0].strip("`") in tables]
-    assert len(told) > 5
-    for node, name, direction, words, *_ in told:
-        found = [topic for topic in tables[node.strip("`")] if topic.name.format_map(Shown()) == name.strip("`")]
-        assert [(topic.direction, topic.qos and topic.qos.words) for topic in found] == [(direction, words)], name
-
-
-class Shown(dict[str, str]):
-    """As topics.md writes what is filled in."""
-
-    def __missing__(self, key: str) -> str:
-        return f"<{key}>"

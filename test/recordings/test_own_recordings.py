@@ -322,7 +322,7 @@ UNFIT_TABLES = {
     "missing column": (
         TABLE.replace("CH2", "CH9"),
         lambda text: text,
-        r"lab.yaml: position: column CH9 is not in .*scope.csv; it has Time, CH1, CH2, CH3",
+        r"lab.yaml: position.column: column CH9 is not in .*scope.csv; it has Time, CH1, CH2, CH3",
     ),
     "backwards": (TABLE, lambda text: row(text, 100, "-0,5;0;0;0"), "line 100: time column Time runs backwards"),
     "text": (TABLE, lambda text: row(text, 77, "1;0;ERROR 7;0"), "line 77: column CH2: found 'ERROR 7'"),

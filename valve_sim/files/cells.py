@@ -24,6 +24,11 @@ _GROUPED: Final = re.compile(
     r"[+-]?\d{1,3}((,\d{3})+\.\d+|(\.\d{3})+,\d+|(,\d{3}){2,}|(\.\d{3}){2,}|(['\u2019\u00a0\u202f ]\d{3})+([.,]\d+)?)"
 )
 """Thousands that are parted, where no decimal point can be meant."""
+_QUANTITY: Final = re.compile(
+    r"([+-]?\d[\d.,]*(?:e[+-]?\d+)?)\s*([nµuμm]?(?:s|sec|seconds?|V|A)|[nµuμmc]?m|k?Hz|M?Pa|m?bar|°C|degC|m?N)",
+    re.IGNORECASE,
+)
+"""A number with its unit, as MATLAB writes durations ("0.001 sec") and hand-held instruments their readings."""
 _DATE: Final = re.compile(r"(\d{4})([-/.]?)(\d\d?)\2(\d\d?)|(\d\d?)\.(\d\d?)\.(\d{4}|\d\d)")
 _TIME: Final = re.compile(r"(\d\d?)(:?)(\d\d)(?:\2(\d\d(?:[.,]\d+)?))?\s*(?:Z|UTC|GMT|[+-]\d\d:?\d\d)?", re.IGNORECASE)
 _MINUTES: Final = re.compile(r"(\d+):(\d\d[.,]\d+)")
@@ -46,7 +51,7 @@ class Stamp(NamedTuple):
 
 def number_in(cell: str) -> float | None:
     """The number that a cell holds, NaN where it says that there is none; None where it holds something else."""
-    text = cell.strip()
+    text = cell.strip().replace("\u2212", "-")  # a typographic minus
     try:
         if "_" not in text:  # which Python takes for a digit's neighbour
             return float(text.replace(",", ".", 1))
@@ -65,6 +70,13 @@ def number_in(cell: str) -> float | None:
             whole, point, part = word[: last.start()], ".", last[2]
         return float(re.sub(r"[^\d+-]", "", whole) + point + part)
     return SWITCHED.get(word)
+
+
+def quantity_in(cell: str) -> tuple[float, str] | None:
+    """The number and the unit that a cell holds; None where it holds something else."""
+    found = _QUANTITY.fullmatch(cell.strip())
+    value = None if found is None else number_in(found[1])
+    return None if found is None or value is None else (value, "s" if found[2].lower().startswith("sec") else found[2])
 
 
 def stamp_in(cell: str, form: str = "") -> Stamp | None:
@@ -110,5 +122,7 @@ def kind_of(cell: str) -> str:
     """number, date (of any form), word; empty where a cell is, or says that there is no number."""
     value = number_in(cell)
     if value is None:
+        if quantity_in(cell):
+            return "number"
         return "date" if stamp_in(cell) or _LIKE_A_TIME.search(cell) else "word"
     return "" if np.isnan(value) else "number"

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.files.bounded import LARGEST_TEXT, check_expanded, check_file
-from valve_sim.files.cells import number_in
 from valve_sim.files.recording_map import TimeAxis
 from valve_sim.files.tables import DataTable, TableError
 from valve_sim.files.text_tables import MOST_COLUMNS, TextTable
@@ -97,9 +96,12 @@ class _ArrayTable(DataTable):
         return len(self._columns[0]) if self._columns else 0
 
     def _are_stamps(self, places: Sequence[int], axis: TimeAxis) -> bool:
-        return self._columns[places[0]].dtype.kind == "M"
+        kinds = {self._columns[place].dtype.kind for place in places}
+        return "M" in kinds or (not kinds <= set("biuf") and super()._are_stamps(places, axis))
 
     def _seconds(self, places: Sequence[int], axis: TimeAxis) -> tuple[Array, float]:
+        if self._columns[places[0]].dtype.kind != "M":
+            return super()._seconds(places, axis)
         stamps = self._columns[places[0]].astype("datetime64[ns]").astype(np.int64)
         origin = int(stamps[0]) // 10**9 if len(stamps) else 0
         return np.asarray(1e-9 * (stamps - origin * 10**9), dtype=np.float64), float(origin)
@@ -108,17 +110,10 @@ class _ArrayTable(DataTable):
         found = self._columns[place]
         if found.dtype.kind == "M":  # times of day: seconds since 1970
             return np.asarray(found.astype("datetime64[ns]").astype(np.int64) * 1e-9)
-        if found.dtype.kind in "biuf":
-            return np.asarray(found, dtype=np.float64)
-        listed = found.tolist()
-        values = [np.nan if value is None else number_in(str(value)) for value in listed]
-        if None in values:
-            row = values.index(None)
-            raise TableError(
-                f"{self.path}: row {row + 1}: column {self.names[place]}: found {str(listed[row])[:40]!r}, expected a "
-                "number; name a column of numbers"
-            )
-        return np.array(values, dtype=np.float64)
+        return np.asarray(found, dtype=np.float64) if found.dtype.kind in "biuf" else super()._numbers(place)
+
+    def _cells(self, place: int) -> list[str | None]:
+        return ["" if value is None else str(value) for value in self._columns[place].tolist()]
 
 
 def _missing(path: Path, kind: str, package: str, extra: str) -> TableError:

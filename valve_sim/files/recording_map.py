@@ -195,6 +195,24 @@ def load_force_map(path: Path | str) -> Mapping[str, Source]:
     return sources
 
 
+def place_of(reader: Entries, key: str, entry: Mapping[str, Any], clock: str) -> dict[str, str]:
+    """Check the texts of an entry, which say where its numbers are; `clock` is that of an entry that names none.
+
+    Raises:
+        MapError: It has neither a topic nor a column, or both, or one of the texts is not as it should be.
+    """
+    texts = {name: reader.text(f"{key}.{name}", found) for name, found in entry.items()}
+    reader.choice(f"{key}.clock", texts.setdefault("clock", clock), ("", *CLOCKS))
+    topic, joint, index = (texts.get(name, "") for name in ("topic", "joint", "field"))
+    if bool(topic) == bool(texts.get("column")):
+        raise reader.fail(key, f"found {short(dict(entry))}, expected either topic: (of a bag) or column: (of a table)")
+    if topic and not topic.startswith("/"):
+        raise reader.fail(f"{key}.topic", f"found {topic!r}, expected a name that begins with /")
+    if joint and "[" in index:
+        raise reader.fail(key, f"has joint {joint} and field {index}; give the joint or the index")
+    return texts
+
+
 def time_axis(reader: Entries, found: object) -> TimeAxis:
     """Check where a map has the times of a table's rows.
 
@@ -322,7 +340,6 @@ class _MapReader(Entries):
             found = {"column": found}
         entry = self.mapping(key, found, "{topic: ..., unit: ...} or {column: ..., unit: ...}")
         self.check_keys(key, entry, [own.name for own in fields(Source)])
-        texts = {name: self.text(f"{key}.{name}", entry[name]) for name in _TEXTS if name in entry}
         numbers = {name: self.number(f"{key}.{name}", entry[name]) for name in _NUMBERS if name in entry}
         if numbers.get("sign", 1.0) not in (1.0, -1.0):
             raise self.fail(f"{key}.sign", f"found {numbers['sign']:g}, expected 1 or -1; a factor is scale:")
@@ -331,18 +348,10 @@ class _MapReader(Entries):
                 f"{key}.scale",
                 f"found {numbers['scale']:g}, expected a number above 0; sign: -1 turns the direction round",
             )
-        self.choice(f"{key}.clock", texts.setdefault("clock", clock), ("", *CLOCKS))
+        texts = place_of(self, key, {name: entry[name] for name in _TEXTS if name in entry}, clock)
         source = Source(**texts, **numbers)  # type: ignore[arg-type] # texts and numbers by their names
         if source.unit and source.unit not in UNITS[dimension]:
             raise self.fail(f"{key}.unit", f"found {source.unit!r}, expected one of {', '.join(UNITS[dimension])}")
-        if bool(source.topic) == bool(source.column):
-            raise self.fail(
-                key, f"found {short(dict(entry))}, expected either topic: (of a bag) or column: (of a table)"
-            )
-        if source.topic and not source.topic.startswith("/"):
-            raise self.fail(f"{key}.topic", f"found {source.topic!r}, expected a name that begins with /")
-        if source.joint and "[" in source.field:
-            raise self.fail(key, f"has joint {source.joint} and field {source.field}; give the joint or the index")
         return source
 
     def _check_kind(self, valves: Mapping[str, Mapping[str, Source]], time: TimeAxis | None) -> None:

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.files.cells import DAY, Stamp
+from valve_sim.files.cells import DAY, Stamp, kind_of, number_in, quantity_in, stamp_in
 from valve_sim.files.channels import UNITS
 from valve_sim.files.recording_map import TimeAxis
 from valve_sim.model.errors import ValveError
@@ -53,7 +53,8 @@ class DataTable:
     Attributes:
         path: the file, for messages. names: of the columns, in the file's order.
         units: column to unit, where the file says one. others: what else its head calls a column, and its place.
-        findings: what of the file was left out, a line each.
+        findings: what of the file was left out, a line each. interval: s from row to row, as the head says it, and
+            where; 0 where it does not.
     """
 
     def __init__(
@@ -62,6 +63,7 @@ class DataTable:
         self.path, self.names, self.units = path, tuple(names), dict(units)
         self.others = {name: place for name, place in (others or {}).items() if name not in self.names}
         self.findings: tuple[str, ...] = ()
+        self.interval: tuple[float, str] = (0.0, "")
 
     def has(self, name: str) -> bool:
         """Whether there is a column of this name or number, from 1 on."""
@@ -75,6 +77,10 @@ class DataTable:
             TableError: there is no such column, or one of its cells is not a number.
         """
         return self._numbers(self._place(name))
+
+    def texts(self, name: str) -> list[str]:
+        """The cells of a column as they are written, empty where there is none."""
+        return [cell or "" for cell in self._cells(self._place(name))]
 
     def _place(self, name: str) -> int:
         if not self.has(name):
@@ -157,19 +163,54 @@ class DataTable:
             "time: {column: [..., ...], unit: [s, ns]}"
         )
 
+    def _numbers(self, place: int) -> Array:
+        """The numbers of a column; of dates, s since midnight before the first one."""
+        cells = self._cells(place)
+        values = [None if cell is None else number_in(cell) for cell in cells]
+        if None not in values:
+            return np.array(values, dtype=np.float64)
+        quantities = [
+            (value, "") if value is not None else quantity_in(cell or "")
+            for cell, value in zip(cells, values, strict=True)
+        ]
+        units = {own[1] for own in quantities if own and np.isfinite(own[0])}
+        if None not in quantities and len(units) == 1:
+            return np.array([own[0] for own in quantities if own], dtype=np.float64)
+        stamps = [stamp_in(cell) if cell else None for cell in cells]
+        if None not in stamps:
+            return _since_the_first_day([stamp for stamp in stamps if stamp])[0]
+        raise self._is_none(place, (stamps if stamps[0] else values).index(None), "number")
+
     def _are_stamps(self, places: Sequence[int], axis: TimeAxis) -> bool:
         """Whether columns hold dates or times of day."""
-        return False
+        first = [self._cells(place)[:1] for place in places]
+        return bool(axis.form) or any(kind_of(cell) == "date" for cells in first for cell in cells if cell)
 
     def _seconds(self, places: Sequence[int], axis: TimeAxis) -> tuple[Array, float]:
         """Times of such columns: (n,) s, and since when."""
+        stamps = []
+        for row, cells in enumerate(zip(*(self._cells(place) for place in places), strict=True)):
+            stamp = None if None in cells else stamp_in(" ".join(cell for cell in cells if cell), axis.form)
+            if stamp is None:
+                form = f"time as {axis.form}" if axis.form else "date or a time of day, or its form in time: format:"
+                raise self._is_none(places[0], row, form)
+            stamps.append(stamp)
+        return _since_the_first_day(stamps)
+
+    def _is_none(self, place: int, row: int, expected: str) -> TableError:
+        cell = self._cells(place)[row]
+        found = "nothing" if cell is None else repr(cell[:40])
+        return TableError(
+            f"{self.path}: {self.place(row)}: column {self.names[place]}: found {found}, expected a {expected}; "
+            "correct the line or take it out"
+        )
+
+    def _cells(self, place: int) -> list[str | None]:
+        """The cells of a column as text; None where there is none."""
         raise NotImplementedError
 
-    def _numbers(self, place: int) -> Array:
-        raise NotImplementedError
 
-
-def since_the_first_day(stamps: Sequence[Stamp]) -> tuple[Array, float]:
+def _since_the_first_day(stamps: Sequence[Stamp]) -> tuple[Array, float]:
     """(n,) s since midnight before the first stamp, and when that was, s since 1970; 0 where nothing says the day.
 
     Without days, each time that they begin anew a period is over.

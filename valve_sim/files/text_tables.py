@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import functools
 import io
 import re
 from collections import Counter
@@ -15,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.files.bounded import table_text
-from valve_sim.files.cells import kind_of, number_in, stamp_in
+from valve_sim.files.cells import kind_of, number_in, quantity_in
 from valve_sim.files.channels import UNITS
-from valve_sim.files.recording_map import TimeAxis
-from valve_sim.files.tables import DataTable, TableError, since_the_first_day
+from valve_sim.files.tables import DataTable, TableError
 
 Array = NDArray[np.float64]
 Rows = Sequence[Sequence[str]]
@@ -44,6 +42,12 @@ _GOES_ON: Final = 0.01
 """Share of its step by which a column may miss the next one, where it goes on in equal steps."""
 _MOST_TRAILING: Final = 20
 """Lines without numbers behind the data that are left out: a summary, or a cut last row."""
+_INTERVAL: Final = re.compile(
+    r"(delta[_ ]?x|(x[_ ]?)?incr(ement)?|(sampl\w*|time)[_ ](interval|period|step)|abtastintervall)( ?[\[(]s\w*[\])])?",
+    re.IGNORECASE,
+)
+_RATE: Final = re.compile(r"(sampl\w*[_ ]?(rate|frequency)|abtastrate)( ?[\[(]hz[\])])?", re.IGNORECASE)
+"""How a head calls the interval between rows, s, and their rate, Hz."""
 _UNIT_WORDS: Final = frozenset(
     {unit for units in UNITS.values() for unit in units}
     | {"volt", "volts", "second", "seconds", "sec", "ampere", "amp", "amps", "ohm", "Ω", "N", "Hz", "%", "-"}
@@ -85,6 +89,10 @@ class TextTable(DataTable):
         super().__init__(path, self._layout.names, self._layout.units, self._layout.others)
         self.findings = (self._layout.skipped,) if self._layout.skipped else ()
         self._stop = self._end()
+        self._rows = self._find_rows()
+        self.interval = _stated_interval(
+            [cells_of(line, self._layout.delimiter) for line in self._lines[: self._layout.first]]
+        )
 
     @property
     def rows(self) -> int:
@@ -95,10 +103,17 @@ class TextTable(DataTable):
         """The file's own line number."""
         return f"line {self._rows[row] + 1}"
 
-    @functools.cached_property
-    def _rows(self) -> list[int]:
-        """The numbers of the lines that are rows, from 0 on."""
-        return [number for number in range(self._layout.first, self._stop) if self._lines[number].strip()]
+    def _find_rows(self) -> list[int]:
+        """The numbers of the lines that are rows, from 0 on: not of comments, nor of a head that stands there again."""
+        first, blank = self._layout.first, f" \t{self._layout.delimiter or ''}"
+        head = {line.strip() for line in self._lines[:first]}
+        filled = [number for number in range(first, self._stop) if self._lines[number].strip(blank)]
+        found = [n for n in filled if not ((line := self._lines[n].strip()).startswith(_COMMENTS) or line in head)]
+        if len(found) < len(filled):
+            out = min(set(filled) - set(found))
+            words = f"{self._lines[out].strip()[:40]!r} in line {out + 1}"
+            self.findings += (f"{len(filled) - len(found)} lines among the numbers left out, such as {words}",)
+        return found
 
     def _end(self) -> int:
         """Where the rows end: lines without any number, or a row that was cut, are left out behind them."""
@@ -106,10 +121,12 @@ class TextTable(DataTable):
         while stop > self._layout.first and not self._lines[stop - 1].strip():
             stop -= 1
         whole, words = stop, ""
+        begins_with_number = kind_of(cells_of(self._lines[self._layout.first], self._layout.delimiter)[0]) != "word"
         while stop > self._layout.first + 1 and whole - stop < _MOST_TRAILING:
             cells, before = (cells_of(self._lines[stop - own], self._layout.delimiter) for own in (1, 2))
             is_cut = stop == whole and len(cells) < len(before)
-            if not is_cut and {kind_of(cell) for cell in cells} & {"number", "date"}:
+            is_named = kind_of(cells[0]) == "word" and begins_with_number  # Min;0;3
+            if not (is_cut or is_named) and {kind_of(cell) for cell in cells} & {"number", "date"}:
                 break
             words = words or " ".join(self._lines[stop - 1].split())[:40]
             stop -= 1
@@ -120,8 +137,7 @@ class TextTable(DataTable):
 
     def _numbers(self, place: int) -> Array:
         """The numbers of a column; of dates, s since midnight before the first one."""
-        lines, delimiter = self._lines[self._layout.first : self._stop], self._layout.delimiter
-        text = "\n".join(lines)
+        text, delimiter = "\n".join(self._lines[number] for number in self._rows), self._layout.delimiter
         if delimiter != ",":
             text = text.replace(",", ".")
         try:
@@ -132,47 +148,31 @@ class TextTable(DataTable):
         except ValueError:
             found = np.empty(0)
         # A quote that is not closed makes one cell of many lines.
-        return found if len(found) == self.rows else self._cell_by_cell(place)
-
-    def _cell_by_cell(self, place: int) -> Array:
-        """The same, slowly, where not all cells are plain numbers; a cell that is none is named with its line."""
-        cells = self._cells(place)
-        values = [None if cell is None else number_in(cell) for cell in cells]
-        if None not in values:
-            return np.array(values, dtype=np.float64)
-        stamps = [stamp_in(cell) if cell else None for cell in cells]
-        if None not in stamps:
-            return since_the_first_day([stamp for stamp in stamps if stamp])[0]
-        row = (stamps if stamps[0] else values).index(None)
-        raise self._is_none(place, row, "number")
-
-    def _is_none(self, place: int, row: int, expected: str) -> TableError:
-        cell = self._cells(place)[row]
-        found = "nothing" if cell is None else repr(cell[:40])
-        return TableError(
-            f"{self.path}: {self.place(row)}: column {self.names[place]}: found {found}, expected a {expected}; "
-            "correct the line or take it out"
-        )
+        return found if len(found) == self.rows else super()._numbers(place)
 
     def _cells(self, place: int) -> list[str | None]:
         """The cells of a column; None where a line ends before it."""
         rows = (cells_of(self._lines[number], self._layout.delimiter) for number in self._rows)
         return [row[place] if place < len(row) else None for row in rows]
 
-    def _are_stamps(self, places: Sequence[int], axis: TimeAxis) -> bool:
-        row = cells_of(self._lines[self._rows[0]], self._layout.delimiter) if self._rows else []
-        return bool(axis.form) or any(kind_of(row[place]) == "date" for place in places if place < len(row))
 
-    def _seconds(self, places: Sequence[int], axis: TimeAxis) -> tuple[Array, float]:
-        columns = [self._cells(place) for place in places]
-        stamps = []
-        for row, cells in enumerate(zip(*columns, strict=True)):
-            stamp = None if None in cells else stamp_in(" ".join(cell for cell in cells if cell), axis.form)
-            if stamp is None:
-                form = f"time as {axis.form}" if axis.form else "date or a time of day, or its form in time: format:"
-                raise self._is_none(places[0], row, form)
-            stamps.append(stamp)
-        return since_the_first_day(stamps)
+def _stated_interval(head: Rows) -> tuple[float, str]:
+    """The interval between rows that a head states, s, and what it calls it: beside a name, or below; 0 for none."""
+    for row, whole in enumerate(head):
+        cells = [part for cell in whole for part in re.split(r"[:=]\s+", cell)]  # "Sample rate: 10 kHz" in one cell
+        for place, cell in enumerate(cells):
+            for pattern, power in ((_INTERVAL, 1), (_RATE, -1)):
+                if not pattern.fullmatch(cell.strip(":=#%/! ")):
+                    continue
+                below = head[row + 1][place : place + 1] if row + 1 < len(head) and len(cells) == len(whole) else []
+                for text in (*cells[place + 1 : place + 2], *below):
+                    value, unit = quantity_in(text) or (number_in(text) or 0.0, "")
+                    factor = {"khz": 1e3}.get(
+                        unit.lower(), UNITS["time"][unit].factor if unit in UNITS["time"] else 1.0
+                    )
+                    if np.isfinite(value) and value > 0.0:
+                        return (factor * value) ** power, cell
+    return 0.0, ""
 
 
 def cells_of(line: str, delimiter: str | None) -> list[str]:
@@ -248,7 +248,8 @@ def _first_row(lines: Sequence[str], rows: Rows, *, with_words: bool) -> int | N
 
 def _named(lines: Sequence[str], delimiter: str | None, rows: Rows, start: int) -> Layout:
     """The layout, with names and units from the lines before the numbers."""
-    data = [row for row in rows[start : start + _WHOLE_WITH_WORDS] if len(row) == len(rows[start])]
+    below = [row for row in rows[start : start + _WHOLE_WITH_WORDS] if len(row) == len(rows[start])]
+    data = [row for row in below if any(kind_of(cell) in ("number", "date") for cell in row)]
     start, first = _begin(lines, rows, start, data)
     width = len(data[0])
     head = _head(lines[:first], delimiter, width)
@@ -272,7 +273,8 @@ def _named(lines: Sequence[str], delimiter: str | None, rows: Rows, start: int) 
         return Layout(delimiter, start, tuple(str(number + 1) for number in range(width)), {}, {}, skipped)
     chosen = max(scores, key=lambda score: score[0])[1]
     names = _unique(chosen[:width])
-    found = {} if units is None else {name: _bare(cell) for name, cell in zip(names, units, strict=False)}
+    beside = {name: own[1] for name, cell in zip(names, data[0], strict=False) if (own := quantity_in(cell))}
+    found = beside if units is None else {name: _bare(cell) for name, cell in zip(names, units, strict=False)}
     for name in names:
         inside = re.search(r"[\[(]([^\])]+)[\])]\s*$", name)
         if inside:

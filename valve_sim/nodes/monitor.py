@@ -19,7 +19,7 @@ from valve_sim.identification.monitoring.findings import Occasion, Prediction, S
 from valve_sim.identification.monitoring.memory import load_commissioning, save_commissioning
 from valve_sim.identification.monitoring.scores import Baseline
 from valve_sim.identification.monitoring.stroke_monitor import StrokeMonitor, StrokeReport
-from valve_sim.identification.reporting.monitor_messages import occasion_words, told_finding
+from valve_sim.identification.reporting.monitor_messages import not_judged_words, occasion_words, told_finding
 from valve_sim.model import ParameterError
 from valve_sim.nodes import topics
 from valve_sim.nodes.diagnostics import Level, Status
@@ -81,6 +81,7 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
         self._isolation = FaultIsolation(self._tell)
         self._state_told = ""
         self._last_report: StrokeReport | None = None
+        self._incomplete = 0
         self._is_heard = False
         self._monitor_thread = MonitorThread(
             self._strokes, prepare=self._prepare, report=self._report, isolate=self._isolate, forget=self._forget,
@@ -161,11 +162,13 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
         unheard = self._inputs.incompatible_publishers()
         if stamps := self._live.stamps.look(is_simulated=self._clock.is_simulated):
             self._node.get_logger().warning(stamps, throttle_duration_sec=BETWEEN_REMINDERS)
-        wanted = self._settings.commissioning_strokes
+        wanted, last = self._settings.commissioning_strokes, self._last_report
+        lost = self._monitor_thread.lost + self._incomplete
+        doubt = stamps or (not_judged_words(last) if last is not None and last.is_incomplete else "")
         return (
-            health_status(self._live.segmenter.fault, self._strokes, self._last_report, wanted, self._isolation.found),
+            health_status(self._live.segmenter.fault, self._strokes, last, wanted, self._isolation.found),
             model_status(self._strokes),
-            self._live.input.status(self._clock.elapsed(), self._monitor_thread.lost, waiting_for, unheard, stamps),
+            self._live.input.status(self._clock.elapsed(), lost, waiting_for, unheard, doubt),
             isolation_status(self._isolation),
         )
 
@@ -182,6 +185,7 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
 
     def _report(self, report: StrokeReport) -> None:
         self._last_report = report
+        self._incomplete += report.is_incomplete
         self._stroke_report.publish(self._diagnostics([stroke_status(report, self._valve)], report.record.stamp))
         self._keep()
         wanted = self._settings.commissioning_strokes

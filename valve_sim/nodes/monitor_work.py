@@ -427,13 +427,13 @@ class InputCount:
         self.rejected += 1
         self._why = why
 
-    def status(self, now: float, lost: int, waiting_for: str, unheard: int = 0, stamps: str = "") -> Status:
+    def status(self, now: float, lost: int, waiting_for: str, unheard: int = 0, doubt: str = "") -> Status:
         """Whether samples and commands arrive and can be used; counts since the last call.
 
         Args:
-            now: s of a monotonic clock. lost: strokes, in all, that were not judged for lack of time.
+            now: s of a monotonic clock. lost: strokes, in all, that were not judged for lack of time, or of messages.
             waiting_for: what is still missing, or empty. unheard: publishers of commands of incompatible QoS.
-            stamps: what `StampCheck` says.
+            doubt: what `StampCheck` says, or that the last stroke was not judged.
         """
         fresh, rejected_now = self.samples - self._samples_before, self.rejected - self._rejected_before
         if fresh or math.isnan(self._last_sample):
@@ -448,8 +448,8 @@ class InputCount:
             "rejected": str(self.rejected),
             "strokes not judged": str(lost),
         }
-        if stamps:
-            return Status("input", Level.WARN, stamps, values)
+        if doubt:
+            return Status("input", Level.WARN, doubt, values)
         if waiting_for:
             words = [f"waiting for {waiting_for}"]
             words += [f"{self.rejected} rejected, the last: {self._why}"] if self.rejected else []

@@ -26,13 +26,20 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from valve_sim.files.data_tables import TABLE_SUFFIXES, open_table
 from valve_sim.files.entries import Entries, short
-from valve_sim.files.recording_map import MapError
+from valve_sim.files.recording_map import CLOCKS, MapError, Source, place_of, time_axis
 from valve_sim.files.yaml_files import read_yaml
-from valve_sim.model.core.own.grammar import Expr, ExpressionError, names_in, parse
+from valve_sim.model.core.own.grammar import ExpressionError, evaluate, names_in, parse
 from valve_sim.model.core.own.units import Unit, parse_unit
-from valve_sim.recordings.column_sources import source_of
+from valve_sim.model.core.tracer import Trace
+from valve_sim.model.core.tracer import evaluate as numbers_of
+from valve_sim.recordings.bag_columns import BagColumns
+from valve_sim.recordings.layout import check_topic
+from valve_sim.recordings.recorded import Recorded
 from valve_sim.recordings.resting_noise import step_of
+from valve_sim.recordings.storage import read_recording
+from valve_sim.recordings.table_columns import TableColumns
 from valve_sim.recordings.trace import TraceError
 
 Array = NDArray[np.float64]
@@ -54,9 +61,12 @@ DISTORTED: Final = 2.0
 """Periods of the filter's corner on either side of a gap in which it shows its beginning rather than the signal."""
 FEWEST: Final = 3 * (FILTER_ORDER + 1)
 """Samples between two gaps, of which the filter needs more."""
+FEWEST_TIMES: Final = 3
+"""Readings of different times, of which a quantity has at least so many."""
 STILL: Final = 6.0
 """Standard deviations of the noise between neighbours, within which a signal stands."""
-_COMPARED: Final = re.compile(r"(<=|>=|<|>)")
+_COMPARISONS: Final = {"<=": np.less_equal, ">=": np.greater_equal, "<": np.less, ">": np.greater}
+_COMPARED: Final = re.compile(rf"({'|'.join(_COMPARISONS)})")
 
 
 @dataclass(frozen=True)
@@ -155,23 +165,68 @@ class _Reading:
 
     def __init__(self, path: Path, where: str, found: Mapping[Any, Any] | None) -> None:
         self._path, self._map = path, Entries(where, MapError)
-        self._use = (found or {}).get("use")
-        self._source, self._entries = source_of(path, self._map, found)
         self._findings: list[str] = []
+        if path.suffix.lower() in TABLE_SUFFIXES:
+            table = open_table(path)
+            if found is None:
+                time = "time" if "time" in table.names else table.names[0]
+                found = {"time": {"column": time}, **{name: {"column": name} for name in table.names if name != time}}
+            if "time" not in found:
+                raise self._map.fail("time", "is missing; add time: {column: t, unit: s} or time: {rate: 1000}")
+            self._keys: tuple[str, ...] = ("column",)
+            self._recorded: Recorded = TableColumns(table, time_axis(self._map, found["time"]), where)
+            self._entries = self._places(found, "")
+        else:
+            if found is None:
+                raise TraceError(
+                    f"{path}: is no table; expected one of {', '.join(TABLE_SUFFIXES)}, or a bag with --map"
+                )
+            if "time" in found:
+                raise self._map.fail(
+                    "time", "is for tables; messages of a bag have their own: clock: header or clock: bag"
+                )
+            self._keys = ("topic", "field", "joint", "clock")
+            self._entries = self._places(found, self._map.choice("clock", found.get("clock", ""), ("", *CLOCKS)))
+            self._recorded = BagColumns(path, read_recording(path, self._fields), where)
+        self._use = found.get("use")
+        self._recorded.begin((name, source) for name, (source, _) in self._entries.items())
 
-    def columns(self) -> Columns:
-        for name in self._entries:
+    def _places(self, found: Mapping[Any, Any], clock: str) -> dict[str, tuple[Source, Mapping[str, Any]]]:
+        """Where each quantity is, and its whole entry."""
+        places = {}
+        for name, given in found.items():
+            if name in ("time", "use") or (name == "clock" and "clock" in self._keys):
+                continue
             if not isinstance(name, str):
                 raise self._map.fail(
                     str(name), "expected the name of an input or output (YAML reads on, off, yes, no as true or false)"
                 )
-        if not self._entries:
+            kind = self._keys[0]
+            entry = {kind: given} if isinstance(given, str | int) and not isinstance(given, bool) else given
+            if not isinstance(entry, Mapping) or kind not in entry:
+                raise self._map.fail(name, f"found {short(entry)}, expected {{{kind}: ..., unit: ...}}")
+            self._map.check_keys(name, entry, (*self._keys, *KEYS))
+            texts = {key: own for key, own in entry.items() if key in self._keys}
+            found_at = place_of(self._map, name, texts, clock)
+            places[name] = Source(**found_at), entry  # type: ignore[arg-type] # texts by their names
+        if not places:
             raise self._map.fail("", "names no input and no output; add force: {column: F, unit: N}")
-        read = {name: self._column(name, own) for name, own in self._entries.items()}
+        return places
+
+    def _fields(self, types: Mapping[str, str]) -> dict[str, set[str]]:
+        """The topics to read, and the fields to keep of each."""
+        fields: dict[str, set[str]] = {}
+        for name, (source, _) in self._entries.items():
+            check_topic(self._path, f"{self._map.where}: {name}.topic", source.topic, types)
+            fields.setdefault(source.topic, set()).add(source.path)
+        return fields
+
+    def columns(self) -> Columns:
+        read = {name: self._column(name, *own) for name, own in self._entries.items()}
         values = {name: column.si(column.unit or parse_unit("")) for name, column in read.items()}
         whole = {}
         for name, column in read.items():
-            entry = self._entries[name] if isinstance(self._entries[name], Mapping) else {}
+            _, entry = self._entries[name]
             used = column.used
             for key, text in (("use", self._use), (f"{name}.use", entry.get("use"))):
                 if text is not None:
@@ -181,15 +236,18 @@ class _Reading:
             if not used.any():
                 raise self._map.fail(name, "no sample is left; widen use: or take at_rest: exclude out")
             whole[name] = replace(column, used=used, turns=self._turns(name, entry))
-        return Columns(str(self._path), whole, (*self._source.findings, *self._findings))
+        return Columns(str(self._path), whole, (*self._recorded.findings, *self._findings))
 
-    def _column(self, name: str, entry: object) -> Column:
-        if isinstance(entry, str | int) and not isinstance(entry, bool):
-            entry = {self._source.keys[0]: entry}
-        if not isinstance(entry, Mapping):
-            raise self._map.fail(name, f"found {short(entry)}, expected {{{self._source.keys[0]}: ..., unit: ...}}")
-        self._map.check_keys(name, entry, (*self._source.keys, *KEYS))
-        label, times, recorded = self._source.series(name, entry)
+    def _column(self, name: str, source: Source, entry: Mapping[str, Any]) -> Column:
+        times, recorded, repeated = self._recorded.readings(name, source)
+        label = source.name
+        if repeated:
+            self._findings.append(f"{source.topic}: dropped {repeated} messages with the stamp of another")
+        if len(times) < FEWEST_TIMES:
+            raise TraceError(
+                f"{self._path}: {label}: found {len(times)} readings of different times, expected at least "
+                f"{FEWEST_TIMES}; record it for longer"
+            )
         scale, offset = (
             self._map.number(f"{name}.{key}", entry.get(key, off)) for key, off in (("scale", 1.0), ("offset", 0.0))
         )
@@ -197,7 +255,7 @@ class _Reading:
         readings = float(sign) * scale * recorded + offset
         used = np.isfinite(readings)
         if not used.any():
-            raise TraceError(f"{self._path}: {label}: holds no finite number; name another {self._source.keys[0]}")
+            raise TraceError(f"{self._path}: {label}: holds no finite number; name another {self._keys[0]}")
         if not used.all():
             self._findings.append(f"{label}: {int((~used).sum())} of {len(used)} cells are empty and were left out")
             readings = np.interp(times, times[used], readings[used])
@@ -227,7 +285,7 @@ class _Reading:
         chosen_by_user = self._map.choice(f"{name}.turns", entry.get("turns", ""), ("use", "exclude", ""))
         if chosen_by_user:
             return bool(chosen_by_user == "use")
-        masks = [self._use, *(own.get("use") for own in self._entries.values() if isinstance(own, Mapping))]
+        masks = [self._use, *(own.get("use") for _, own in self._entries.values())]
         return any(isinstance(mask, str) and re.search(rf"\b{re.escape(name)}\b", mask) for mask in masks)
 
     def _filter(self, name: str, entry: Mapping[str, Any], times: Array) -> tuple[float, int, int]:
@@ -281,63 +339,28 @@ def chosen(text: str, values: Mapping[str, Array]) -> Mask:
         values: (n,) in SI by the names that it may use.
 
     Raises:
-        ExpressionError: it cannot be read.
+        ExpressionError: it is no such condition, or uses another name; in one line.
     """
-    found: Mask | None = None
-    for either in re.split(r"\bor\b", text):
-        both: Mask | None = None
-        for clause in re.split(r"\band\b", either):
-            one = _clause(clause, values)
-            both = one if both is None else both & one
-        assert both is not None
-        found = both if found is None else found | both
-    assert found is not None
-    return found
+    either = re.split(r"\bor\b", text)
+    both = [[_compared(clause, values) for clause in re.split(r"\band\b", own)] for own in either]
+    return np.asarray(np.logical_or.reduce([np.logical_and.reduce(clauses) for clauses in both]))
 
 
-def _clause(clause: str, values: Mapping[str, Array]) -> Mask:
+def _compared(clause: str, values: Mapping[str, Array]) -> Mask:
+    """(n,) where one comparison holds."""
     parts = _COMPARED.split(clause)
     if len(parts) < 3 or len(parts) > 5:
         raise ExpressionError(f'found {clause.strip()!r}, expected a comparison such as "20 < time < 30"')
-    sides = [_numbers(parse(part), values) for part in parts[::2]]
-    found = np.ones(len(values["time"]), dtype=bool)
-    for a, op, b in zip(sides, parts[1::2], sides[1:], strict=False):
-        compared = {"<": np.less, "<=": np.less_equal, ">": np.greater, ">=": np.greater_equal}[op]
-        found &= compared(a, b)
-    return found
-
-
-def _numbers(expression: Expr, values: Mapping[str, Array]) -> Any:
-    """An expression of arrays."""
-    for name in names_in(expression):
+    graph, sides = Trace(), [parse(part) for part in parts[::2]]
+    for name in (name for side in sides for name in names_in(side)):
         if name not in values:
             raise ExpressionError(f"uses {name}, expected one of {', '.join(values)}")
-    args = [_numbers(own, values) for own in expression.args]
-    op = expression.op
-    if op == "number":
-        return expression.value
-    if op == "name":
-        return values[expression.value]
-    with np.errstate(all="ignore"):
-        return _OF_ARRAYS[op](expression, *args)
-
-
-_OF_ARRAYS: Final[Mapping[str, Any]] = {
-    "+": lambda _, a, b: a + b,
-    "-": lambda _, a, b: a - b,
-    "*": lambda _, a, b: a * b,
-    "/": lambda _, a, b: np.divide(a, b),
-    "**": lambda e, a: np.power(a, e.value),
-    "neg": lambda _, a: -a,
-    ">": lambda _, a, b: a > b,
-    "where": lambda _, c, a, b: np.where(c, a, b),
-    "min": lambda _, *a: np.minimum.reduce(np.broadcast_arrays(*a)),
-    "max": lambda _, *a: np.maximum.reduce(np.broadcast_arrays(*a)),
-    **{
-        name: lambda _, a, name=name: getattr(np, name)(a)
-        for name in ("sign", "abs", "sqrt", "exp", "log", "sin", "cos", "tan", "tanh")
-    },
-}
+    symbols = {name: graph.number(name) for name in values}
+    numbers = numbers_of([graph.lift(evaluate(side, symbols)) for side in sides], values)
+    found = np.ones(len(values["time"]), dtype=bool)
+    for a, op, b in zip(numbers, parts[1::2], numbers[1:], strict=False):
+        found &= _COMPARISONS[op](a, b)
+    return found
 
 
 def at_rest(times: Array, readings: Array) -> Mask:

@@ -35,6 +35,8 @@ STAMP_ERROR: Final = 50e-6
 """s: how well a command is dated that the voltage does not show; such a share of it, that both clocks may differ."""
 GAP: Final = 10.0
 """Usual intervals between samples of the voltage: a longer one hides a step, which may have been anywhere in it."""
+MISSING: Final = 3.0
+"""The same where a command may only be dated by what is seen."""
 EXACT: Final = 1e-8
 """s: what is known better is taken as exact."""
 
@@ -144,10 +146,13 @@ def within_steps(times: Array, volts: Array, measured: Signal) -> Array | None:
         measured: the voltage at the coil's terminals.
 
     Returns:
-        None unless the voltage shows every one of them.
+        None unless the voltage shows every one of them, none in a gap of its samples.
     """
     found, seen = times.copy(), 0
+    longest = MISSING * float(np.median(np.diff(measured.times)))
     for place, step in _steps(times, volts, measured):
+        if step.last - step.first > longest:
+            return None
         found[place] = np.clip(times[place], step.first, step.last)
         seen += 1
     return np.maximum.accumulate(found) if seen == len(times) else None

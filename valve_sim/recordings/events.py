@@ -177,14 +177,15 @@ def _rest(position: Array, near: NDArray[np.bool_], white: float) -> tuple[float
 
 
 def _by_current(signal: Signal | None, stroke: StrokePart) -> Iterator[SensorEvent]:
-    """Yield the arrivals that bend the current, by the voltage that motion induces."""
-    if signal is None:
+    """Yield the arrivals of an opening that bend the current, by the voltage that motion induces.
+
+    When a valve closes, the current has died away before.
+    """
+    if signal is None or stroke.kind == "closing":
         return
     inside = slice(*np.searchsorted(signal.times, [stroke.start, stroke.stop]))
-    is_closing = stroke.kind == "closing"
-    halted, slowed = find_bends(signal.times[inside], signal.values[inside], closes=is_closing)
-    kinds = ("reaches_seat", "main_seats") if is_closing else ("reaches_stop", "pilot_reaches_main")
-    for kind, bend in ((kinds[1], slowed), (kinds[0], halted)):
+    halted, slowed = find_bends(signal.times[inside], signal.values[inside])
+    for kind, bend in (("pilot_reaches_main", slowed), ("reaches_stop", halted)):
         if bend is not None:
             yield SensorEvent(kind, bend.time, bend.time - stroke.start, bend.stderr, "current")
 

@@ -1,21 +1,24 @@
-"""Where a recording has each quantity: in the topics that this package writes, or in those that a map names."""
+"""Where a recording has each quantity: in the topics or columns that this package writes, or that a map names."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
 from valve_sim.files.channels import CHANNELS, COIL, COIL_STATE, FLOAT, JOINT_STATE, JUDGED, LIVE_COIL
-from valve_sim.files.recording_map import RecordingMap, Source
+from valve_sim.files.recording_map import DEFAULT_VALVE, RecordingMap, Source, TimeAxis
 from valve_sim.recordings.command_times import logs_among
 from valve_sim.recordings.trace import TraceError
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
+    from collections.abc import Collection, Mapping, Sequence
     from pathlib import Path
 
 COMMAND, MEASURED, LIVE = "coil_voltage", "measured/joint_states", "joint_states"
 POSITIONS = ("position", "main_position")
-INPUTS = ("command", "voltage")
+OWN_COLUMNS = {key: channel.column or channel.name for key, channel in CHANNELS.items() if key != "voltage"}
+"""By key, of the CSV that `valve-sim simulate` writes; its voltage is the commanded one."""
+ALWAYS = ("command", "position", "main_position", "current")
+"""The keys of those that every such CSV has."""
 
 
 class Plan(NamedTuple):
@@ -40,14 +43,22 @@ class Plan(NamedTuple):
     ignored: str = ""
 
     @property
-    def has_positions(self) -> bool:
-        """Whether positions are recorded; else the current or the outlet's pressure must be."""
-        return "position" in self.sources
+    def judged(self) -> tuple[str, ...]:
+        """The quantities by which the valve can be judged: the first that holds a number.
+
+        A CSV of this package has a column without numbers where no position was measured.
+        """
+        recorded = tuple(key for key in JUDGED if key in self.sources)
+        return recorded if not self.map_path and any(self.sources[key].column for key in recorded) else recorded[:1]
 
     @property
-    def primary_signal(self) -> str:
-        """The quantity by which the valve is judged."""
-        return next((key for key in JUDGED if key in self.sources), JUDGED[-1])
+    def input(self) -> str:
+        """The quantity that says what the coil was given."""
+        return "command" if "command" in self.sources else "voltage"
+
+    def places(self, key: str) -> tuple[Source, ...]:
+        """Where a quantity may be, the place that counts first."""
+        return tuple(found[key] for found in (self.sources, self.others) if key in found)
 
     @property
     def fields(self) -> dict[str, set[str]]:
@@ -144,6 +155,13 @@ def _recorded_places(
     return found
 
 
+def check_topic(path: Path, where: str, topic: str, types: Collection[str]) -> None:
+    """Refuse a topic that is not in a bag; `where` is the map and its key, for the message."""
+    if topic not in types:
+        found = ", ".join(sorted(types)) or "no topic"
+        raise TraceError(f"{where}: topic {topic} is not in {path}; it has {found}; name one of these")
+
+
 def mapped_plan(path: Path, valve: str | None, recording_map: RecordingMap, types: Mapping[str, str]) -> Plan:
     """What a map names, all of which must be recorded.
 
@@ -155,14 +173,43 @@ def mapped_plan(path: Path, valve: str | None, recording_map: RecordingMap, type
         where = f"{recording_map.path}: {key}"
         if source.column:
             raise TraceError(f"{where}: names a column, but {path} is a bag of topics; give topic: in its place")
-        if source.topic not in types:
-            found = ", ".join(sorted(types)) or "no topic"
-            raise TraceError(f"{where}: topic {source.topic} is not in {path}; it has {found}; name one of these")
+        check_topic(path, f"{where}.topic", source.topic, types)
         if source.type and source.type != types[source.topic]:
             raise TraceError(
                 f"{where}: topic {source.topic} is {types[source.topic]}, expected {source.type}; correct type:"
             )
     return Plan(name, sources, map_path=recording_map.path)
+
+
+def has_own_columns(names: Collection[str]) -> bool:
+    """Whether a table has the columns of `valve-sim simulate`."""
+    return {"time", *(OWN_COLUMNS[key] for key in ALWAYS)} <= set(names)
+
+
+def table_plan(
+    path: Path, names: Sequence[str], valve: str | None, recording_map: RecordingMap | None
+) -> tuple[Plan, TimeAxis]:
+    """The columns that a map names, or those of `valve-sim simulate`, and where the times of their rows are.
+
+    Raises:
+        ValveError: The map has no such valve, or names topics; without one, nobody knows which column is what.
+    """
+    if recording_map is None:
+        if not has_own_columns(names):
+            listed = ", ".join(names[:12])
+            raise TraceError(
+                f"{path}: is not a recording of ROS topics but a table ({listed}); say with --map which column is "
+                f"what, valve-sim map {path} writes a first map"
+            )
+        own = {key: Source(column=column) for key, column in OWN_COLUMNS.items() if column in names}
+        return Plan(RecordingMap(str(path), {DEFAULT_VALVE: own}).choose(valve)[0], own), TimeAxis(("time",))
+    name, sources = recording_map.choose(valve)
+    if recording_map.time is None:
+        topic = next(iter(sources.values())).topic
+        raise TraceError(
+            f"{recording_map.path}: names the topic {topic}, but {path} is a table; give column: in its place"
+        )
+    return Plan(name, sources, map_path=recording_map.path), recording_map.time
 
 
 def _choose_valve(path: Path, valve: str | None, types: Mapping[str, str]) -> str:

@@ -346,16 +346,20 @@ def _time_line(table: DataTable) -> tuple[list[str], list[Series]]:
     tried += [_stamp(table, name, columns[name]) for name in (*named, *usable)[:1]]
     tried += [_dated(table, name) for name in table.names if name not in columns]
     entry, reason = next((found for found in tried if found), (None, ""))
+    if entry is None and table.interval[0]:
+        entry, reason = {"rate": float(f"{1.0 / table.interval[0]:.9g}")}, f"CHECK: by {table.interval[1]} in its head"
     if entry is None:
+        _refuse_one_value_a_row(table)
         coarse = next((name for name in dating if PLAIN.fullmatch(name)), None)
         why = "no column ascends" if coarse is None else f"column {coarse} repeats: it has too few digits"
+        why = next((words for name in table.names if PLAIN.fullmatch(name) and (words := _trouble(table, name))), why)
         raise TraceError(
             f"{table.path}: {why}, and nothing else says when its rows were taken; write a map by hand with "
             "time: {rate: ...} (rows a second), or export the times"
         )
-    taken = entry["column"] if isinstance(entry["column"], list) else [entry["column"]]
-    series = table_series(table, {name: values for name, values in columns.items() if name not in taken})
-    steps = np.diff(table.row_times(time_axis(Entries("", MapError), entry)).times)
+    axis = time_axis(Entries("", MapError), entry)
+    series = table_series(table, {name: values for name, values in columns.items() if name not in axis.columns})
+    steps = np.diff(table.row_times(axis).times)
     rate = 1.0 / float(np.median(steps[steps > 0.0]))
     return [f"# {rate:.6g} rows a second; {reason}", f"time: {_yaml(entry)}"], series
 
@@ -365,6 +369,26 @@ def _numbers(table: DataTable, name: str) -> NDArray[np.float64] | None:
         return table.column(name)
     except TableError:  # words
         return None
+
+
+def _refuse_one_value_a_row(table: DataTable) -> None:
+    """Refuse a table in which a column of few words says what each row has a value of, as archives of a PLC do."""
+    for name in table.names:
+        words = list(dict.fromkeys(table.texts(name))) if _trouble(table, name) else []
+        if 1 < len(words) <= MOST_LEVELS < table.rows:
+            raise TraceError(
+                f"{table.path}: each row has the value of one quantity, which column {name} names "
+                f"({', '.join(words[:4])}); export a column for each"
+            )
+
+
+def _trouble(table: DataTable, name: str) -> str:
+    """Why a column cannot be read; empty where it can."""
+    try:
+        table.column(name)
+    except TableError as error:
+        return str(error).removeprefix(f"{table.path}: ").partition(";")[0]
+    return ""
 
 
 def _is_part(table: DataTable, first: str, second: str) -> bool:

@@ -7,7 +7,7 @@ import math
 import pytest
 from plants.recording import Recorder, train_profile
 
-from valve_sim.identification.diagnosis.run import Diagnosis, diagnose, diagnose_plant
+from valve_sim.identification.diagnosis.run import Diagnosis, diagnose_plant
 from valve_sim.identification.fit.budget import DERIVATIVES, STROKES_A_SECOND, Budget
 from valve_sim.identification.reporting.claims import summarise
 from valve_sim.identification.reporting.diagnosis_document import diagnosis_document
@@ -17,8 +17,6 @@ from ..recordings import Short
 from .test_run import DECLARED, measured
 
 FRICTION = {"coulomb_friction": {"force": 0.05}}
-STRONG_FRICTION = {"coulomb_friction": {"force": 0.5}}
-"""No error of the recording takes up any of it."""
 FEW = ["coulomb_friction", "squeeze_film", "stiction", "quadratic_drag", "drive_gain", "coil_lag"]
 
 
@@ -77,12 +75,3 @@ def test_with_work_enough_nothing_is_left_and_the_outcome_is_the_same(plant: Sho
     first, second = diagnosis_document(whole).to_json(), diagnosis_document(within).to_json()
     assert first.keys() == second.keys()
     assert {name for name in first if first[name] != second[name]} <= {"budget", "work", "allowed"}
-
-
-@pytest.mark.long
-def test_the_declared_model_is_fitted_whatever_the_work() -> None:
-    """With nothing left for any effect, the verdict says so and claims none."""
-    trace = measured(STRONG_FRICTION, train_profile(), Recorder(), 1)
-    found = diagnose([trace], [], DECLARED, budget=Budget(1.0))
-    assert (found.verdict.kind, found.verdict.effects) == ("insufficient", ())
-    assert len(found.untried) > 20

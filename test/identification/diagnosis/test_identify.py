@@ -137,26 +137,6 @@ def test_several_starts_leave_a_local_minimum() -> None:
         assert abs(result.intervals[name].value - truth) < 4.0 * result.intervals[name].stderr
 
 
-@pytest.mark.parametrize(
-    ("name", "effects", "parameters", "truth"),
-    [
-        ("coulomb_friction.force", {"coulomb_friction": {"force": 0.2}}, {}, 0.2),
-        ("a0", {}, {}, 3.0336),
-    ],
-)
-def test_any_parameter_can_be_freed_by_name(
-    name: str, effects: dict[str, dict[str, float]], parameters: dict[str, float], truth: float
-) -> None:
-    trace = recorded(effects=effects, **parameters)
-    result = identify([trace], EXACT_VALVE, ("pilot_damping", "main_damping", name))
-    interval = result.intervals[name]
-    assert interval.low - 0.5 * interval.stderr < truth < interval.high + 0.5 * interval.stderr
-    assert interval.high - interval.low < 0.2 * truth
-    effect, dot, parameter = name.partition(".")
-    found = result.valve.effects[effect][parameter] if dot else result.valve.declared()[name]
-    assert found == interval.value
-
-
 @pytest.mark.long
 def test_an_effect_that_is_declared_stays_on() -> None:
     valve = Valve(EXACT_VALVE.parameters, {"coulomb_friction": {"force": 0.2}})

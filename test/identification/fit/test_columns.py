@@ -8,10 +8,10 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from valve_sim.identification.fit.errors import ERRORS, Seen
+from valve_sim.identification.fit.errors import Seen
 from valve_sim.identification.fit.errors.bend import BEND
 from valve_sim.identification.fit.errors.drift import DRIFT, RAMPS
-from valve_sim.identification.fit.errors.error import Mode, RecordingError
+from valve_sim.identification.fit.errors.error import Mode
 from valve_sim.identification.fit.errors.hum import HUM
 from valve_sim.identification.fit.errors.ringing import RINGING, RINGING_SCATTER
 from valve_sim.identification.fit.unknown import Group
@@ -100,12 +100,6 @@ def test_a_mount_rings_after_contacts_alone_and_as_their_momentum() -> None:
     )
     assert np.max(np.abs(columns[:, :2])) == pytest.approx(0.5, rel=0.1)
     assert RINGING_SCATTER.columns(seen(modes=modes)).shape[1] == 6
-
-
-@pytest.mark.parametrize("error", ERRORS, ids=lambda error: error.name)
-def test_every_error_says_what_to_do(error: RecordingError) -> None:
-    assert error.what_to_do
-    assert error.title
 
 
 @pytest.mark.parametrize("law", ["cauchy", "normal"])

@@ -10,7 +10,6 @@ from benchmarks.campaign.declared import declared_valve
 from identification.recordings import Short, recorded
 from valve_sim.identification.diagnosis.outcome import Verdict
 from valve_sim.identification.diagnosis.run import begin
-from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.recordings import Trace
 
 DECLARED = float(CAMPAIGN_VALVE["coil_time_constant"])  # type: ignore[arg-type]
@@ -47,8 +46,3 @@ def test_a_coil_that_is_later_is_a_lag_and_one_that_is_earlier_has_a_wrong_value
 @pytest.mark.parametrize("tolerances_off", [-1.5, 1.5])
 def test_a_value_within_its_tolerance_is_not_named(tolerances_off: float) -> None:
     assert verdict(tolerances_off).kind == "none"
-
-
-def test_freed_by_hand_the_coil_time_constant_has_its_natural_range() -> None:
-    plant = ValvePlant([shown()], WITHIN)
-    assert plant.parameter("coil_time_constant").upper > 10.0 * DECLARED

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from pathlib import Path
 
 import numpy as np
 import pytest
-from plants.coil_alone import Build, Course, simulate
+from plants.coil_alone import Build
 
+from identification.live_coil import NOISE, LiveCoil
 from identification.one_thread import Monitor
 from identification.test_current_alone import declared
 from valve_sim.identification.monitoring.commissioning import Commissioning
@@ -18,62 +18,25 @@ from valve_sim.identification.monitoring.findings import DidNotClose, DidNotOpen
 from valve_sim.identification.monitoring.memory import load_commissioning, save_commissioning
 from valve_sim.identification.monitoring.segmenter import ALONE, StrokeSegmenter
 from valve_sim.identification.monitoring.settings import MonitorSettings
-from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
 from valve_sim.identification.reporting.monitor_messages import stroke_json
 
 BUILD = Build(eddy_resistance=40.0)
 VALVE = declared(BUILD)
 SETTINGS = MonitorSettings(commissioning_strokes=8)
 LEVELS = (9.0, 12.0, 7.5, 14.0)
-RATE, NOISE, PERIOD = 5e3, 1e-3, 0.080
-COMMANDS = np.array([0.020, 0.050])
 WORN = 0.02
 """N of friction."""
 
 
-@functools.cache
-def course(build: Build, volts: float) -> Course:
-    return simulate(build, COMMANDS, np.array([volts, 0.0]), (np.arange(round(PERIOD * RATE)) + 0.37) / RATE)
-
-
-class Coil:
-    """Strokes of a plant; each command comes late, but where no voltage is measured, which dates commands."""
-
-    def __init__(self, monitor: Monitor, *, has_voltage: bool = True) -> None:
-        self._monitor = monitor
-        self._has_voltage = has_voltage
-        self._random = np.random.default_rng(18)
-        self._strokes = 0
-
-    def stroke(self, build: Build = BUILD) -> list[StrokeReport]:
-        """One stroke; reports of those that ended meanwhile."""
-        volts, begin = LEVELS[self._strokes % len(LEVELS)], PERIOD * self._strokes
-        shown, random = course(build, volts), self._random
-        times = begin + shown.times
-        current = shown.current + NOISE * random.standard_normal(len(times))
-        voltage = shown.voltage + 5e-3 * random.standard_normal(len(times))
-        received = begin + COMMANDS + self._has_voltage * 3e-3 * random.uniform(size=2)
-        if not self._has_voltage:
-            voltage[:] = math.nan
-        edges = [0, *np.searchsorted(times, received), len(times)]
-        reports = []
-        for part, first in enumerate(edges[:-1]):
-            if part:
-                reports += self._monitor.command(received[part - 1], (volts, 0.0)[part - 1])
-            chosen = slice(first, edges[part + 1])
-            reports += self._monitor.measure_currents(times[chosen], current[chosen], voltage[chosen])
-        self._strokes += 1
-        return reports
-
-    def strokes(self, count: int, build: Build = BUILD) -> list[StrokeReport]:
-        return [report for _ in range(count) for report in self.stroke(build)]
+def coil_of(monitor: Monitor, *, has_voltage: bool = True) -> LiveCoil:
+    return LiveCoil(monitor, np.random.default_rng(18), LEVELS, 0.080, has_voltage=has_voltage)
 
 
 @pytest.fixture(scope="module")
 def commissioning() -> Commissioning:
     """Of a healthy valve."""
     monitor = Monitor(VALVE, SETTINGS, refit=False)
-    Coil(monitor).strokes(SETTINGS.commissioning_strokes + 1)
+    coil_of(monitor).strokes(SETTINGS.commissioning_strokes + 1, BUILD)
     found = monitor.stroke_monitor.commissioning
     assert found is not None
     return found
@@ -98,7 +61,7 @@ def test_what_commissioning_finds_is_true(commissioning: Commissioning) -> None:
 
 
 def test_a_healthy_valve_raises_no_alarm_and_its_reports_are_in_milliamperes(monitor: Monitor) -> None:
-    healthy = Coil(monitor).strokes(9)
+    healthy = coil_of(monitor).strokes(9, BUILD)
     assert monitor.stroke_monitor.alarms == 0
     assert np.mean([report.rms for report in healthy]) == pytest.approx(NOISE, rel=0.1)
     report = stroke_json(healthy[-1], "/valve")
@@ -110,8 +73,8 @@ def test_a_healthy_valve_raises_no_alarm_and_its_reports_are_in_milliamperes(mon
 @pytest.mark.long
 def test_friction_that_grows_raises_an_alarm_and_is_named() -> None:
     monitor = Monitor(VALVE, SETTINGS, refit=False)
-    coil = Coil(monitor, has_voltage=False)
-    coil.strokes(SETTINGS.commissioning_strokes + 2)
+    coil = coil_of(monitor, has_voltage=False)
+    coil.strokes(SETTINGS.commissioning_strokes + 2, BUILD)
     assert monitor.stroke_monitor.alarms == 0
     for share in (0.25, 0.5, 0.75):
         coil.stroke(BUILD._replace(friction=share * WORN))
@@ -135,9 +98,9 @@ def test_friction_that_grows_raises_an_alarm_and_is_named() -> None:
     ],
 )
 def test_a_valve_that_is_held_is_told_by_its_current(monitor: Monitor, build: Build, expected: Fault) -> None:
-    coil = Coil(monitor)
+    coil = coil_of(monitor)
     coil.stroke(build)
-    (held,), (after, *_) = coil.stroke(), coil.strokes(2)
+    (held,), (after, *_) = coil.stroke(BUILD), coil.strokes(2, BUILD)
     assert held.record.fault == expected
     assert held.remark == expected
     assert after.record.fault is None

@@ -11,6 +11,7 @@ import pytest
 from model.gas.cases import gas_valve, independent
 
 from identification.freed import fit
+from identification.live_strokes import hand_over
 from valve_sim.identification.fit.intervals import Interval, covariance_interval
 from valve_sim.identification.fit.noise import Noise
 from valve_sim.identification.fit.problem import Problem
@@ -70,11 +71,7 @@ def recorded(*, healthy: int, faulty: int, leak: float = 0.0, clogging: float = 
 def strokes_of(made: Strokes) -> list[StrokeRecord]:
     """As the segmenter of a valve that is as declared cuts them out."""
     segmenter = StrokeSegmenter(VALVE, MonitorSettings(settle=0.003))
-    commands = list(made.commands)
-    for time, position in zip(made.times.tolist(), made.positions.tolist(), strict=True):
-        while commands and commands[0][0] <= time:
-            segmenter.command(*commands.pop(0))
-        segmenter.measure(time, position)
+    list(hand_over(segmenter, made.commands, made.times, made.positions))
     return segmenter.take_finished()
 
 

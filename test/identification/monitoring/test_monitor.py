@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.live_strokes import LiveStroke, LiveValve, feed
+from identification.live_strokes import LiveStroke, LiveValve, feed, hand_over
 from identification.one_thread import Monitor
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.monitoring.cusum import Sums, mean_run, threshold_for
@@ -252,11 +252,8 @@ def test_with_the_current_a_weaker_coil_is_told_from_a_weaker_magnet() -> None:
 def sample_by_sample(monitor: Monitor, stroke: LiveStroke) -> Iterator[float]:
     """Hand a stroke over; the time of each sample."""
     commands = list(zip(stroke.command_times.tolist(), stroke.volts.tolist(), strict=True))
-    for time, position in zip(stroke.times.tolist(), stroke.position.tolist(), strict=True):
-        while commands and commands[0][0] <= time:
-            monitor.command(*commands.pop(0))
-        monitor.measure(time, position)
-        yield time
+    for time, _ in zip(stroke.times, hand_over(monitor, commands, stroke.times, stroke.position), strict=True):
+        yield float(time)
 
 
 @pytest.mark.parametrize("is_slow", [False, True])
@@ -283,10 +280,7 @@ def test_a_stroke_that_does_not_begin_at_rest_is_not_judged() -> None:
     segmenter = StrokeSegmenter(EXACT_VALVE, MonitorSettings(settle=0.01, patience=0.01))
     times = np.arange(0.0, 0.2, 1e-3)
     commands = [(0.02, 9.0), (0.05, 0.0), (0.0505, 9.0), (0.1, 0.0)]
-    for time in times.tolist():
-        while commands and commands[0][0] <= time:
-            segmenter.command(*commands.pop(0))
-        segmenter.measure(time, 0.0)
+    list(hand_over(segmenter, commands, times, np.zeros(len(times))))
     finished = segmenter.take_finished()
     assert len(finished) == 2
     assert finished[1].remark is Unusable.NOT_AT_REST

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from plants.rubbing import rubbing_axis
-from scipy.integrate import solve_ivp
 
 from valve_sim.model.core.hybrid.system import EquationsError
 from valve_sim.model.core.own.equations import Equations
@@ -53,20 +52,6 @@ def test_an_axis_sticks_and_slips_as_one_of_small_steps_does() -> None:
     assert np.mean(shown[sticks, 1] == 0.0) > 0.9
 
 
-@pytest.mark.parametrize("name", ["m", "c", "fc", "fs", "vs", "x", "v"])
-def test_derivatives_go_through_stick_and_slip(name: str) -> None:
-    times, inputs = driven()
-    start = {"x": 0.1, "v": 0.4}
-    slopes = axis().run(NUMBERS, start, inputs, times, [{name: 1.0}])[1][:, :, 0]
-    step, ends = 1e-6, []
-    for sign in (1.0, -1.0):
-        numbers, begun = dict(NUMBERS), dict(start)
-        (numbers if name in numbers else begun)[name] += sign * step
-        ends.append(axis().run(numbers, begun, inputs, times)[0])
-    quotient = (ends[0] - ends[1]) / (2.0 * step)
-    assert np.max(np.abs(slopes - quotient)) < 1e-5 * max(1.0, float(np.max(np.abs(quotient))))
-
-
 def test_derivatives_along_many_directions_are_those_along_each() -> None:
     times, inputs = driven(501)
     directions = [{name: 1.0 + 0.1 * k} for k in range(4) for name in (*NUMBERS, "x", "v")]
@@ -104,20 +89,6 @@ def test_a_switch_is_an_event_between_samples() -> None:
     assert slopes[1, 0, 0] == pytest.approx(1.0 - math.exp(-2.0 * 9.3), abs=1e-7)
 
 
-def test_two_joints_that_rub_on_each_other_stick_together() -> None:
-    """A block on a belt-driven cart: while both stick to each other they move as one."""
-    own = machine(
-        {"a": "(f - mu*sign(a - b))/m1", "b": "mu*sign(a - b)/m2"}, {"a": "a", "b": "b"}, ("f",), ("m1", "m2", "mu")
-    )
-    numbers = {"m1": 2.0, "m2": 1.0, "mu": 0.5}
-    times = np.linspace(0.0, 1.0, 11)
-    for force, slides in ((1.0, False), (3.0, True)):
-        inputs = Inputs(np.array([0.0, 1.0]), np.full((2, 1), force), np.array([True]))
-        shown, *_ = own.run(numbers, {"a": 0.0, "b": 0.0}, inputs, times)
-        rates = ((force - 0.5) / 2.0, 0.5) if slides else (force / 3.0, force / 3.0)
-        assert np.allclose(shown, np.outer(times, rates), atol=1e-9)
-
-
 def test_friction_by_direction_holds_what_each_direction_holds() -> None:
     own = machine({"v": "(f - where(v > 0, up, -down))/m"}, {"v": "v"}, ("f",), ("m", "up", "down"))
     numbers = {"m": 1.0, "up": 1.0, "down": 3.0}
@@ -125,19 +96,6 @@ def test_friction_by_direction_holds_what_each_direction_holds() -> None:
         inputs = Inputs(np.array([0.0, 1.0]), np.full((2, 1), force), np.array([True]))
         shown, *_ = own.run(numbers, {"v": 0.0}, inputs, np.array([1.0]))
         assert shown[0, 0] == pytest.approx(speed, abs=1e-12)
-
-
-def test_a_pendulum_is_that_of_another_integrator() -> None:
-    own = machine({"q": "w", "w": "-g*sin(q) - d*w*abs(w) + tanh(q)/(1 + q**2)"}, {"q": "q"}, (), ("g", "d"))
-    times = np.linspace(0.0, 6.0, 61)
-
-    def rates(t: float, y: Array) -> list[float]:
-        q, w = y
-        return [w, -9.0 * math.sin(q) - 0.1 * w * abs(w) + math.tanh(q) / (1.0 + q * q)]
-
-    found = solve_ivp(rates, (0.0, 6.0), [2.0, 0.0], t_eval=times, rtol=1e-11, atol=1e-12)
-    shown, *_ = own.run({"g": 9.0, "d": 0.1}, {"q": 2.0, "w": 0.0}, NO_INPUTS, times)
-    assert np.max(np.abs(shown[:, 0] - found.y[0])) < 1e-6
 
 
 def test_what_grows_beyond_bounds_or_has_no_value_ends_with_a_reason() -> None:

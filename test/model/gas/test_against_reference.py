@@ -4,57 +4,29 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from plants.gas import GasValve
 
-from valve_sim.model import Drive, EventKind, Response, Valve, simulate
+from valve_sim.model import Drive, EventKind, simulate
 
-from .cases import gas_valve, independent
+from .cases import CASES, Case, compared, gas_valve, independent, ours
 
-OPENING = ((0.0, 9.0),)
-CASES = {
-    "35 MPa, dead end": (gas_valve(), OPENING, 0.56),
-    "70 MPa, dead end": (gas_valve(inlet_pressure=70e6), OPENING, 0.5),
-    "a demand holds the main plunger down": (
-        gas_valve(inlet_pressure=10e6, demand_orifice_diameter=0.2e-3), OPENING, 0.2,
-    ),
-    "closes while gas flows": (
-        gas_valve(inlet_pressure=2e6, demand_orifice_diameter=0.5e-3, pilot_orifice_diameter=1e-3),
-        ((0.0, 9.0), (0.1, 0.0)), 0.3,
-    ),
-    "flows back": (gas_valve(inlet_pressure=2e6, outlet_pressure=3e6), OPENING, 0.1),
-    "nearly equal from the start": (gas_valve(outlet_pressure=35e6 - 100.0), OPENING, 0.05),
-}  # fmt: skip
+SHORT = ("35 MPa, 10 cm³, dead end", "released while it flows", "flows back, 2 to 3 MPa")
 
 
-def compare(valve: Valve, drive: tuple[tuple[float, float], ...], end: float) -> tuple[Response, GasValve]:
-    """Fail unless events and pressure of both agree; returns both."""
-    times = np.linspace(end / 200, end, 200)
-    ours = simulate(valve, Drive.of(*zip(*drive, strict=True)), times, start_time=0.0)
-    theirs = independent(valve)
-    _, pressure, _ = theirs.run(drive, times)
-    found = sorted((event.time, event.kind.name) for event in ours.events)
-    expected = sorted(theirs.events)
-    assert [kind for _, kind in found] == [kind for _, kind in expected]
-    for (time, kind), (due, _) in zip(found, expected, strict=True):
-        assert abs(time - due) < 5e-6 + 1e-3 * due, (kind, time, due)
-    assert ours.outlet_pressure is not None
-    np.testing.assert_allclose(ours.outlet_pressure, pressure, rtol=2e-3)
-    return ours, theirs
-
-
-@pytest.mark.parametrize("case", [
-    pytest.param(case, marks=pytest.mark.long) if case.startswith(("70 MPa", "a demand", "nearly")) else case
-    for case in CASES
-])  # fmt: skip
-def test_agrees_with_an_implicit_integration(case: str) -> None:
-    compare(*CASES[case])
+@pytest.mark.parametrize(
+    "case",
+    [pytest.param(case, id=case.name, marks=() if case.name in SHORT else pytest.mark.long) for case in CASES],
+)
+def test_agrees_with_an_implicit_integration(case: Case) -> None:
+    """`python -m benchmarks.accuracy gas` prints by how much."""
+    found = compared(case)
+    assert found.is_good, (found.late, found.off, found.run.events, found.events)
 
 
 def test_what_comes_in_and_does_not_go_out_is_there() -> None:
     """The balance of mass, with flows added up apart from the density: the demand's by the independent plant."""
-    valve, drive, end = CASES["closes while gas flows"]
-    times = np.linspace(0.0, end, 300_001)
-    response = simulate(valve, Drive.of(*zip(*drive, strict=True)), times, start_time=0.0)
+    (case,) = (case for case in CASES if case.name == "released while it flows")
+    valve, times = case.valve, np.linspace(0.0, case.end, 300_001)
+    response = ours(case, times)
     assert response.mass_flow is not None and response.outlet_pressure is not None and valve.gas is not None
     plant = independent(valve)
     taken = np.array([plant.flow_out(pressure) for pressure in response.outlet_pressure[::100]])

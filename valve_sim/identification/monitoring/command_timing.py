@@ -36,6 +36,8 @@ MEDIAN_OF_LARGER: Final = 1.052
 """Median of the larger absolute value of two standard normal numbers."""
 UNINFORMATIVE: Final = 0.05
 """s: a prior so wide that it carries no information on when a command took effect."""
+LATEST: Final = 0.05
+"""s by which samples may come in later than the soonest one, and commands may be assumed to: as `UNINFORMATIVE`."""
 LONGEST: Final = 0.1
 """Share of the opening time: where the scatter is larger, delays are not scored."""
 
@@ -125,6 +127,11 @@ class CommandScatter:
         self.sigma = max(self.established, self._with_mean(alone / EXTREME_SIGMAS if math.isfinite(alone) else 0.0))
         return self.sigma
 
+    @property
+    def latest(self) -> float:
+        """Seconds by which samples may come in late; more of a driver that was commissioned sending them in batches."""
+        return max(LATEST, WIDER_SCATTER * self.arrivals if self.arrivals > 0.0 else 0.0)
+
     def _with_mean(self, spread: float) -> float:
         """The root mean square about the commissioned time, where the scatter is plainly wider than it was."""
         if spread <= WIDER_SCATTER * self._jitter:
@@ -183,6 +190,12 @@ class HeardCommands:
     def __init__(self) -> None:
         self._late: deque[float] = deque(maxlen=2 * RECENT)
         self._spread = ArrivalSpread()
+        self._were_seen: deque[bool] = deque(maxlen=RECENT)
+
+    @property
+    def are_usually_seen(self) -> bool:
+        """Whether the voltage has shown the commands of most of the last strokes."""
+        return 2 * sum(self._were_seen) > len(self._were_seen)
 
     @property
     def lateness(self) -> float:
@@ -200,6 +213,11 @@ class HeardCommands:
         Args:
             trace: of a stroke. voltage: at the coil's terminals, V, by the stroke's times, s.
         """
+        dated = self._dated(trace, voltage)
+        self._were_seen.append(dated is not trace)
+        return dated
+
+    def _dated(self, trace: Trace, voltage: Signal | None) -> Trace:
         if voltage is None:
             return trace
         heard = trace.drive

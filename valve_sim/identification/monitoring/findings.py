@@ -76,6 +76,20 @@ class Unusable(enum.Enum):
     """The valve was commissioned on positions, and it has none; or the other way round."""
     HELD_TOO_BRIEFLY = enum.auto()
     """The valve was held open for less than half as long as commanded: when its voltage was off is too uncertain."""
+    SAMPLES_MISSING = enum.auto()
+    """Samples are missing while it moved."""
+    COMMANDS_UNSEEN = enum.auto()
+    """The coil's voltage, which shows the commands of other strokes, does not show those of this one."""
+    UNCOMMANDED = enum.auto()
+    """It moved otherwise than by the commands that came in: some were lost or late."""
+    HEARD_LATE = enum.auto()
+    """Its samples came in so late that its commands may have been late, or lost, too."""
+
+    @property
+    def is_incomplete(self) -> bool:
+        """Whether messages are missing or late, so that it says nothing about the valve."""
+        cls = Unusable
+        return self in (cls.TOO_FEW_SAMPLES, cls.SAMPLES_MISSING, cls.COMMANDS_UNSEEN, cls.UNCOMMANDED, cls.HEARD_LATE)
 
 
 @dataclass(frozen=True)

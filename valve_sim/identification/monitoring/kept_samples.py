@@ -24,6 +24,10 @@ MOST_SAMPLES: Final = 100_000
 """Samples of a stroke; one that has more is ended."""
 WAITING: Final = 0.1
 """s."""
+MISSING: Final = 3.0
+"""Usual intervals between samples, beyond which some are missing."""
+UNSEEN: Final = 0.1
+"""Share of the range by which what is measured may change where samples are missing."""
 FEWEST_VOLTAGES: Final = 2
 """Samples of a voltage, between which it may step."""
 
@@ -172,6 +176,14 @@ class StrokeInProgress:
     opened: bool | None = None
     closed: bool | None = None
     fault: Fault | None = None
+
+
+def hides_motion(times: Array, values: Array, range_: float) -> bool:
+    """Whether samples, (n,) s and m or A, are missing while the valve moved, or its current changed, by this range."""
+    steps = np.diff(times)
+    if not len(steps):
+        return False
+    return bool(np.any((steps > MISSING * np.median(steps)) & (np.abs(np.diff(values)) > UNSEEN * range_)))
 
 
 def joined(signals: Sequence[Signal | None], starts: Sequence[float]) -> Signal | None:

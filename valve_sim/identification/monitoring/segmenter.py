@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from valve_sim.identification.monitoring.command_timing import EXTREME_SIGMAS, ArrivalSpread, HeardCommands
+from valve_sim.identification.monitoring.command_timing import EXTREME_SIGMAS, LATEST, ArrivalSpread, HeardCommands
 from valve_sim.identification.monitoring.findings import (
     DidNotClose,
     Fault,
@@ -23,11 +23,18 @@ from valve_sim.identification.monitoring.findings import (
     Unusable,
 )
 from valve_sim.identification.monitoring.held_valve import opening_fault
-from valve_sim.identification.monitoring.kept_samples import MOST_SAMPLES, KeptSamples, MeasuredMotion, StrokeInProgress
+from valve_sim.identification.monitoring.kept_samples import (
+    MOST_SAMPLES,
+    KeptSamples,
+    MeasuredMotion,
+    StrokeInProgress,
+    hides_motion,
+)
 from valve_sim.identification.monitoring.line_pressure import LinePressure, unknown_pressure
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.model import Phase, Reading, SimulationError, Stepper, Valve
+from valve_sim.recordings import Trace
 from valve_sim.recordings.strokes import begins_stroke
 
 LEAD: Final = 0.25
@@ -61,7 +68,9 @@ LONGEST_DELAY: Final = 1.0
 STILL_AFTER: Final = 0.01
 """s after it was last seen open: the remaining motion is below the noise."""
 CONFIRMED: Final = 5
-"""Failed strokes in a row that make a fault where the times of commands are too uncertain for one to do so."""
+"""Failed strokes in a row that make a fault where the times of commands are too uncertain for one to do so.
+
+So many that move otherwise than commanded are the valve's, where messages come in time."""
 ALONE: Final = 1.0
 """s of currents without any position, after which the valve is watched by its current alone."""
 
@@ -120,7 +129,7 @@ class StrokeSegmenter:
         self.fault: Fault | None = None
         """None where there is none. Stays until a stroke without a fault."""
         self._arrivals, self._heard = ArrivalSpread(), HeardCommands()
-        self._missed, self._latest = 0, 0.0
+        self._missed, self._uncommanded, self._latest = 0, 0, 0.0
         self._stepper: Stepper | None = None
         self._stepped = -math.inf
         self._volts = math.nan
@@ -408,6 +417,41 @@ class StrokeSegmenter:
             else:
                 self.line.exchange(self._model(time), self._valve, at)
 
+    def _what_is_missing(self, trace: Trace, *, is_dated: bool, is_shown: bool) -> Remark | None:
+        """Why a stroke is incomplete; None where it is whole, as far as can be seen.
+
+        Args:
+            is_dated: whether the voltage shows its commands. is_shown: whether it does those of most strokes.
+        """
+        parameters = self._valve.parameters
+        values, full = trace.pilot_position, parameters.stroke
+        if not trace.has_positions:
+            assert trace.coil_current is not None
+            values, full = trace.coil_current.values, parameters.reference_voltage / parameters.coil_resistance
+        if hides_motion(trace.sample_times, values, full):
+            return Unusable.SAMPLES_MISSING
+        if not is_dated and is_shown:
+            return Unusable.COMMANDS_UNSEEN
+        is_otherwise = trace.has_positions and not self._is_commanded(trace, is_dated=is_dated)
+        self._uncommanded = self._uncommanded + 1 if is_otherwise else 0
+        is_of_valve = self._uncommanded >= CONFIRMED and self._arrivals.spread <= LATEST
+        return Unusable.UNCOMMANDED if is_otherwise and not is_of_valve else None
+
+    def _is_commanded(self, trace: Trace, *, is_dated: bool) -> bool:
+        """Whether the valve opened at most once, no sooner than its command, and closed no sooner than it was told.
+
+        Where the voltage shows the commands, what the valve does after the first of them is its own.
+        """
+        share = trace.pilot_position / self._valve.parameters.stroke
+        ends = np.flatnonzero((share <= CLOSED) | (share >= OPENED))
+        is_open = share[ends] >= OPENED
+        moves = np.flatnonzero(np.diff(is_open, prepend=False))
+        at = trace.sample_times[ends[moves]]
+        earliest = trace.drive.times[[0, -1]] - EARLIEST
+        if is_dated:
+            return not np.any(at < earliest[0])
+        return len(at) <= 2 and not np.any(at < earliest[: len(at)])
+
     def _left_seat(self) -> float:
         """When the valve was last at rest, s, if it moved before its command arrived; nan if it did not.
 
@@ -440,6 +484,7 @@ class StrokeSegmenter:
         if self._valve.gas is not None:
             trace = self.line.before(trace, stroke.drive[0][0])
             remark = remark or unknown_pressure(trace)
+        is_shown = self._heard.are_usually_seen
         heard, trace = trace, self._heard.dated(trace, self._samples.voltage(trace, self._last))
         if self._by_current:
             stroke.opened = stroke.closed = None
@@ -448,6 +493,8 @@ class StrokeSegmenter:
         opening = (at > first) & ((at < last) | (last == first))
         if np.count_nonzero(opening) < FEWEST_SAMPLES:
             remark = remark or Unusable.TOO_FEW_SAMPLES
+        if remark is None or remark is stroke.fault:
+            remark = self._what_is_missing(trace, is_dated=trace is not heard, is_shown=is_shown) or remark
         self._finished.append(
             StrokeRecord(
                 self.strokes, stroke.drive[0][0], trace, remark, stroke.opened, stroke.closed, stroke.fault,

@@ -21,7 +21,12 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from valve_sim.identification.fit.intervals import Interval
-from valve_sim.identification.monitoring.command_timing import UNINFORMATIVE, WIDER_SCATTER, CommandScatter, level_for
+from valve_sim.identification.monitoring.command_timing import (
+    UNINFORMATIVE,
+    WIDER_SCATTER,
+    CommandScatter,
+    level_for,
+)
 from valve_sim.identification.monitoring.commissioning import (
     Commissioning,
     commission_with,
@@ -104,6 +109,11 @@ class StrokeReport(NamedTuple):
     def has_positions(self) -> bool:
         """Whether it was judged by positions; else by the coil's current alone."""
         return self.record.trace.has_positions
+
+    @property
+    def is_incomplete(self) -> bool:
+        """Whether it was not judged because messages are missing or late."""
+        return isinstance(self.remark, Unusable) and self.remark.is_incomplete
 
 
 class StrokeMonitor:
@@ -276,6 +286,8 @@ class StrokeMonitor:
 
         One that waits for the pressure can, once there is a baseline: how long it waits tells a clogged pilot orifice.
         """
+        if self._scatter is not None and record.arrival_spread > self._scatter.latest:
+            return Unusable.HEARD_LATE
         is_waiting = isinstance(record.remark, WaitsForPressure) and record.trace.has_positions
         return None if is_waiting and self.commissioning is not None else record.remark
 

@@ -44,6 +44,10 @@ _UNUSABLE: Final = {
     Unusable.PRESSURE_UNKNOWN: "it began before the pressures at the valve were heard",
     Unusable.TOO_FEW_SAMPLES: "it has too few samples",
     Unusable.OTHER_SENSOR: "positions, or their absence, are not as when the valve was commissioned: recommission it",
+    Unusable.SAMPLES_MISSING: "samples are missing while it moved",
+    Unusable.COMMANDS_UNSEEN: "the coil's voltage does not show its commands, as it does those of other strokes",
+    Unusable.UNCOMMANDED: "it moved otherwise than by the commands that came in: some were lost, or are late",
+    Unusable.HEARD_LATE: "its samples came in so late that its commands may have, too: this machine is too busy",
     Unusable.HELD_TOO_BRIEFLY: f"{TIMING_UNCERTAIN}: it was held open for less than half as long as commanded",
 }
 LOPSIDED: Final = 3.0
@@ -101,6 +105,12 @@ def remark_words(remark: Remark) -> str:
         case _:
             words = fault_words(remark)
     return words
+
+
+def not_judged_words(report: StrokeReport) -> str:
+    """That a stroke was not compared with the baseline, and why."""
+    words = "" if report.remark is None else remark_words(report.remark)
+    return f"stroke {report.record.number} is not judged: {words}"
 
 
 def finding_words(finding: FaultFinding) -> str:
