@@ -91,72 +91,64 @@ class Intervals(NamedTuple):
         return found
 
 
-def run_whole(
-    valve: Valve,
-    trace: Trace,
-    drive: Drive,
-    offset: float,
-    directions: Directions | None = None,
-    intervals: Intervals | None = None,
-    numbers: Array | None = None,
-) -> RunPiece:
-    """All that a run shows; arguments as of `run_in_pieces`.
+class Course(NamedTuple):
+    """A recorded drive that a valve runs through.
 
-    Raises:
-        SimulationError: the simulation could not be carried to its end.
+    Attributes:
+        valve: what is simulated; without gas where it is run in pieces. numbers: (n,) of it.
+        trace: whose sample times count. drive: when the voltage changes, s. late: s, by which samples are stamped.
+        directions: along which derivatives are carried. intervals: what differs of the valve between commands.
     """
-    if intervals is None:
-        return RunPiece(
-            slice(0, None), slice(0, None), shown_by(valve, trace, drive, offset, directions, numbers=numbers)
-        )
-    first, *others = run_in_pieces(valve, trace, drive, offset, directions, intervals, numbers)
-    if not others:
-        return first
-    parts = [first.shown, *(piece.shown for piece in others)]
-    return RunPiece(slice(None), slice(None), Shown(*map(np.concatenate, zip(*parts, strict=True))))
 
+    valve: Valve
+    numbers: Array
+    trace: Trace
+    drive: Drive
+    late: float
+    directions: Directions | None = None
+    intervals: Intervals | None = None
 
-def run_in_pieces(
-    valve: Valve,
-    trace: Trace,
-    drive: Drive,
-    offset: float,
-    directions: Directions | None = None,
-    intervals: Intervals | None = None,
-    numbers: Array | None = None,
-) -> Iterator[RunPiece]:
-    """Run a recorded drive.
+    def whole(self) -> RunPiece:
+        """All that it shows.
 
-    Args:
-        valve: without gas. trace: whose sample times count. drive: when the voltage changes, s.
-        offset: s by which samples are stamped late. directions: along which derivatives are carried.
-        intervals: what differs of the valve from interval to interval.
-        numbers: of the valve, where they are known already.
+        Raises:
+            SimulationError: the simulation could not be carried to its end.
+        """
+        if self.intervals is None:
+            of = self.valve, self.trace, self.drive, self.late, self.directions
+            return RunPiece(slice(None), slice(None), shown_by(*of, numbers=self.numbers))
+        first, *others = self.pieces()
+        if not others:
+            return first
+        parts = [first.shown, *(piece.shown for piece in others)]
+        return RunPiece(slice(None), slice(None), Shown(*map(np.concatenate, zip(*parts, strict=True))))
 
-    Raises:
-        SimulationError: the simulation could not be carried to its end.
-    """
-    current_times = trace.coil_current.times if trace.coil_current is not None else NO_TIMES
-    ends = None if intervals is None else intervals.changes
-    own = valve.numbers() if numbers is None else numbers
-    numbers = own
-    if intervals is not None:
-        places = places_of_fields(valve, intervals.fields)
-        numbers = intervals.values(own, places, 0)
-        if directions is not None:
-            moved = intervals.moved(own, places, 0)
-            assert moved is not None
-            directions = replace(directions, numbers=moved)
-    of = recorded(valve, trace, drive, offset)
-    run, commands = run_from_rest(of, directions, numbers), of.commands
-    (delay,) = valve.after_effects("sensor_delay")
-    for cut in cuts(trace.times, current_times, drive, (offset, delay), ends):
-        if intervals is not None and cut.commands.start:
-            after = cut.commands.start
-            run.become(intervals.values(own, places, after), intervals.moved(own, places, after))
-        times, late = trace.times[cut.positions] - offset, current_times[cut.currents] - offset
-        shown = run.piece(commands[cut.commands], cut.end, times, late, first=cut.commands.start)
-        yield RunPiece(cut.positions, cut.currents, shown)
+    def pieces(self) -> Iterator[RunPiece]:
+        """What it shows, piece by piece.
+
+        Raises:
+            SimulationError: the simulation could not be carried to its end.
+        """
+        valve, own, trace, drive, offset, directions, intervals = self
+        current_times = trace.coil_current.times if trace.coil_current is not None else NO_TIMES
+        numbers, ends = own, None
+        if intervals is not None:
+            places, ends = places_of_fields(valve, intervals.fields), intervals.changes
+            numbers = intervals.values(own, places, 0)
+            if directions is not None:
+                moved = intervals.moved(own, places, 0)
+                assert moved is not None
+                directions = replace(directions, numbers=moved)
+        of = recorded(valve, trace, drive, offset)
+        run, commands = run_from_rest(of, directions, numbers), of.commands
+        (delay,) = valve.after_effects("sensor_delay")
+        for cut in cuts(trace.times, current_times, drive, (offset, delay), ends):
+            if intervals is not None and cut.commands.start:
+                after = cut.commands.start
+                run.become(intervals.values(own, places, after), intervals.moved(own, places, after))
+            times, late = trace.times[cut.positions] - offset, current_times[cut.currents] - offset
+            shown = run.piece(commands[cut.commands], cut.end, times, late, first=cut.commands.start)
+            yield RunPiece(cut.positions, cut.currents, shown)
 
 
 def cuts(

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from valve_sim.identification.plants.protocol import Array, Direction, Piece
 from valve_sim.identification.plants.recording_errors import Recording, is_of_recording
 from valve_sim.identification.plants.valve_model import ValveModel, switches_of
-from valve_sim.identification.plants.valve_pieces import Intervals, run_in_pieces, run_whole
+from valve_sim.identification.plants.valve_pieces import Course, Intervals
 from valve_sim.identification.plants.valve_sensors import averaged, rated_current_of
 from valve_sim.model import Drive, Valve
 from valve_sim.model.core.gas import PREFIX
@@ -107,12 +107,11 @@ def shown(at: MovingValve, recordings: Sequence[Recording], *, is_whole: bool = 
     """
     channel = 0
     for recording in recordings:
-        trace, valve = recording.trace, at.valve
+        trace = recording.trace
         drive, late, zero = recording.drive(at.values), recording.lateness(at.values), recording.zero(at.values)
-        intervals = _intervals(at, recording)
         along, zeros = _directions(at, recording, drive) if at.directions else (None, np.zeros(0))
-        run = valve, trace, drive, late, along, intervals, at.numbers
-        for piece in (run_whole(*run),) if is_whole else run_in_pieces(*run):
+        course = Course(at.valve, at.numbers, trace, drive, late, along, _intervals(at, recording))
+        for piece in (course.whole(),) if is_whole else course.pieces():
             found = piece.shown
             if trace.has_positions:
                 columns = averaged(trace, found.of_positions)
