@@ -47,4 +47,5 @@ if __name__ == "__main__":
     while not signals:
         rclpy.spin_once(commander, timeout_sec=0.1)
     commander.close()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C comes a second time, from ros2 launch
     rclpy.try_shutdown()

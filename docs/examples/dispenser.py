@@ -245,6 +245,7 @@ def main() -> None:
             rclpy.spin_once(node, timeout_sec=0.1)
     finally:
         dispenser.close()
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C comes a second time, from ros2 launch
         rclpy.try_shutdown()
 
 

@@ -166,6 +166,7 @@ def main() -> int:
         return 1
     finally:
         sequencer.close_all()
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C comes a second time, from ros2 launch
         rclpy.try_shutdown()
     return 0
 

@@ -144,7 +144,12 @@ def test_dates_say_when_a_table_was_written(tmp_path: Path) -> None:
     file = tmp_path / "a.csv"
     file.write_text("t,lift\n" + rows("{d:%Y-%m-%dT%H:%M:%S.%f},{x}"))
     times = open_table(file).row_times(TimeAxis(("t",)))
-    assert times.origin + times.times[0] == pytest.approx(MIDNIGHT.replace(tzinfo=timezone.utc).timestamp(), abs=1e-6)
+    written = MIDNIGHT.replace(tzinfo=timezone.utc)
+    assert times.origin + times.times[0] == pytest.approx(written.timestamp(), abs=1e-6)
+    days = (written - datetime(1899, 12, 30, tzinfo=timezone.utc)).total_seconds() / 86_400.0  # of a spreadsheet
+    file.write_text("t,lift\n" + "".join(f"{days + n / 86_400e3:.12f},{n}\n" for n in range(9)))
+    times = open_table(file).row_times(TimeAxis(("t",), (86_400.0,)))
+    assert times.origin + times.times[0] == pytest.approx(written.timestamp(), abs=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -117,7 +117,7 @@ def test_errors_are_one_line() -> None:
         steps.step(0.0, 1e-3)
     steps.set("valve.moving_mass", 0.134)
     steps.step(0.0, 1e-3)
-    with pytest.raises(ValveError, match="set the state that was kept"):
+    with pytest.raises(ValveError, match="first restore a state that was kept"):
         steps.step(0.0, 1e-3)
 
 

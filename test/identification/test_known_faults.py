@@ -1,9 +1,7 @@
 """Faults that a review found in diagnoses, by their numbers in it: none of them may come back.
 
-Each is a property that any decision ought to have, shown on the smallest machine that broke it. Those which are not
-here are guarded where the property is at home: 1 by selection/test_prediction, 3 by selection/test_detection_limits,
-4 by selection/test_invariants, 7 and 8 by estimation/test_evidence and selection/test_posterior, 31 by
-diagnosis/test_budget.
+Each is a property that any decision ought to have, shown on the smallest machine that broke it. The others of that
+review are guarded where the property is at home: in fit and in diagnosis/test_budget.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from .endless_node import PLACES
-from .ros_process import ENDS_WITHIN, PATIENCE, own_lines, slowness
+from .ros_process import ENDS_WITHIN, PATIENCE, own_lines, running, slowness
 
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy", reason="there is no ROS 2 here: rclpy cannot be imported")
@@ -63,3 +63,15 @@ def test_a_node_ends_within_two_seconds_whatever_it_calculates(in_own_domain: No
     # While it is still being made, what it reads is nobody's calculation yet.
     expected = [] if node == "command_profile" else [f"{node}: ended in the middle of a calculation"]
     assert said == expected
+
+
+def test_ctrl_c_that_comes_again_and_again_is_one_end(in_own_domain: None, tmp_path: Path) -> None:
+    with running(tmp_path) as node:
+        begin = time.monotonic()
+        while "ready: " not in node.output and time.monotonic() - begin < PATIENCE:
+            time.sleep(0.1)
+        while node.process.poll() is None:
+            node.process.send_signal(signal.SIGINT)
+            time.sleep(1e-3)
+        assert node.exit_code() == 0
+        assert "Traceback" not in node.output

@@ -11,7 +11,7 @@ import pytest
 from valve_sim.files.plant_entries import PlantFileError
 from valve_sim.model import ParameterError
 from valve_sim.nodes.diagnostics import Level, valve_status
-from valve_sim.nodes.live_plant import LivePlant, NodePlant, PlantParameters
+from valve_sim.nodes.live_plant import LivePlant, NodePlant
 from valve_sim.nodes.realtime import NANOSECONDS
 
 from .simulated_plant import MICROMETRE, PLANT, simulated
@@ -94,7 +94,7 @@ def test_a_file_that_topics_cannot_serve_is_one_line(tmp_path: Path, changes: di
 
 
 def test_its_parameters_are_those_of_its_file_in_si_and_a_valves_are_refused() -> None:
-    table = PlantParameters(NodePlant(str(PLANT)))
+    table = NodePlant(str(PLANT))
     entry = table.table()["parameters.stop_rate"]
     assert (entry.default, entry.unit, entry.range, entry.read_only) == (2e6, "N/m", (1e5, 1e8), False)
     assert table.values({"parameters.stroke": 2e-3}, {})["parameters.stroke"] == 2e-3

@@ -33,13 +33,14 @@ class Loss:
 
     Attributes:
         commands: that are lost. samples, coil: s after the opening command, from when until when they are lost.
-        late: s by which commands, and samples on their way, are late.
+        late: s by which commands, and samples on their way, are late. batch: s of samples that come in together.
     """
 
     commands: tuple[int, ...] = ()
     samples: tuple[float, float] = (0.0, 0.0)
     coil: tuple[float, float] = (0.0, 0.0)
     late: float = 0.0
+    batch: float = 0.0
 
 
 NOTHING = Loss()
@@ -79,7 +80,8 @@ class Machine:
                 heard.append((time, 1, self._voltage(made, time)))
         for time, kind, value in sorted(heard):
             stamp = START + round(time * NANOSECONDS)
-            received = START + round((time + loss.late + 0.2e-3) * NANOSECONDS)
+            sent = (math.floor(time / loss.batch) + 1.0) * loss.batch if loss.batch else time
+            received = START + round((sent + loss.late + 0.2e-3) * NANOSECONDS)
             if kind == 0:
                 self._live.command("/v", stamp, float(value))
             elif kind == 1:
@@ -155,3 +157,16 @@ def test_a_valve_that_drops_out_again_and_again_is_an_alarm_where_messages_come_
     assert machine.strokes.alarms
     first = next(index for index, report in enumerate(machine.reports) if report.alarm)
     assert [report.remark for report in machine.reports[:first]].count(Unusable.UNCOMMANDED) == 4
+
+
+@pytest.mark.parametrize("batch", [0.0, 0.15])
+def test_commissioning_leaves_out_strokes_that_came_late_and_not_those_of_a_driver_that_sends_batches(
+    batch: float,
+) -> None:
+    machine = Machine(5, hears_coil=False)
+    for index in range(12):
+        machine.stroke(Loss(batch=0.6 if index in (4, 5) else batch))
+    assert Unusable.HEARD_LATE in [report.remark for report in machine.reports]
+    assert [report.state for report in machine.reports].count(StrokeState.COMMISSIONING) == 8
+    assert machine.strokes.commissioning is not None
+    assert machine.strokes.command_scatter < 1e-3

@@ -134,7 +134,8 @@ def test_what_commissioning_found_survives_a_restart_until_it_is_asked_for_anew(
     plant.predicted.clear()
     with monitoring(tmp_path, **given):
         plant.wait_for_monitor()
-        assert {report["state"] for report in plant.strokes(3)} == {"watching"}
+        reports = plant.strokes(3)
+        assert {report["state"] for report in reports} == {"watching"}, reports
         client = probe.node.create_client(Trigger, "/monitor/recommission")
         assert probe.until(client.service_is_ready)
         assert probe.answers([client], Trigger.Request())[0].success

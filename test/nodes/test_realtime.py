@@ -14,7 +14,6 @@ from valve_sim.nodes.realtime import (
     Decimator,
     Restart,
     Schedule,
-    SubscriberCounts,
     TimedQueue,
     TimingRecord,
     Worker,
@@ -167,25 +166,6 @@ def test_a_slower_topic_has_a_sample_in_each_of_its_periods() -> None:
     assert [after - before for before, after in itertools.pairwise(due[1:])] == [10, 10, 10]
     assert [thinning.is_due(step * 20_000_000) for step in (3, 4, 2)] == [True] * 3, "slow steps, and a clock set back"
     assert not thinning.is_due(40_000_000)
-
-
-def test_subscribers_are_noticed_within_20_ms_and_not_looked_for_at_each_step() -> None:
-    subscriptions, looks = 0, 0
-
-    def count() -> int:
-        nonlocal looks
-        looks += 1
-        return subscriptions
-
-    audience = SubscriberCounts(count, lambda: 1)
-    assert [audience.look(step * MILLISECOND) for step in range(100)] == [(False, True)] * 100
-    assert looks == 5
-    subscriptions = 2
-    assert [audience.look(step * MILLISECOND) for step in range(100, 140)] == [(True, True)] * 40
-    subscriptions = 0
-    assert [audience.look(step * MILLISECOND) for step in range(145, 165)] == [(False, True)] * 20
-    subscriptions = 1
-    assert audience.look(3) == (True, True), "a clock that was set back"
 
 
 BACK = Restart(simulated(1), "the clock jumped back by 0.5 s")

@@ -66,7 +66,6 @@ class _Source(IntEnum):
     DRIFT = 2
     HUM = 3
     RINGING = 4
-    CYCLIC = 5
     SPIKES = 6
     HELD = 7
     DROPOUTS = 8
@@ -90,7 +89,6 @@ class Laboratory:
         ringing_damping: ratio to the critical one. ringing_scatter: relative standard deviation of each impulse.
         scale: relative error of the gain. bend: peak of the error of linearity over the travel, m.
         bend_shape: "bow" of a tilted beam, or "s" of a lens that distorts.
-        cyclic: amplitude of the error of interpolation, m. cyclic_period: of the position, m.
         outliers: spikes a second. outlier_size: m. dropouts: codes of no reading a second.
         held: share of the samples that repeat the one before.
         clipping: length of the end of the travel that lies beyond the range, m; readings stand at the range's end.
@@ -120,8 +118,6 @@ class Laboratory:
     scale: float = 0.0
     bend: float = 0.0
     bend_shape: Literal["bow", "s"] = "bow"
-    cyclic: float = 0.0
-    cyclic_period: float = 20e-6
     outliers: float = 0.0
     outlier_size: float = 50e-6
     dropouts: float = 0.0
@@ -431,10 +427,6 @@ def _read(seen: FloatArray, travel: float, sensor: int, laboratory: Laboratory, 
     """Readings, m, (n,), of what a sensor has before it, whose travel ends at so many m."""
     count = seen.size
     readings = _bent(seen, travel, laboratory) * (1.0 + laboratory.scale)
-    if laboratory.cyclic > 0.0:
-        phase = _random(seed, _Source.CYCLIC, sensor).uniform(0.0, 2.0 * np.pi)
-        turns = 2.0 * np.pi * seen / laboratory.cyclic_period + phase
-        readings = readings + laboratory.cyclic * (np.sin(turns) - np.sin(phase))
     if laboratory.drift > 0.0:
         readings = readings + _drift(count, laboratory, _random(seed, _Source.DRIFT, sensor))
     if laboratory.hum > 0.0:

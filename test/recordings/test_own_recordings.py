@@ -461,6 +461,22 @@ def test_a_first_map_takes_no_rate_out_of_the_air(repeated: int, digits: int, tm
     assert summary.timed_by == f"the rate of 20000 Hz in {tmp_path / 'map.yaml'}"
 
 
+def test_a_first_map_knows_one_value_a_row_and_a_column_of_other_times(tmp_path: Path, made: Recording) -> None:
+    held = made.volts[np.maximum(np.searchsorted(made.command_times, made.times, side="right") - 1, 0)]
+    rows = list(zip(made.times.tolist(), held.tolist(), (1e3 * made.pilot_position).tolist(), strict=True))
+    path = tmp_path / "log.csv"
+    path.write_text("time,name,value\n" + "".join(f"{t:.6f},u,{u}\n{t:.6f},lift,{x:.6f}\n" for t, u, x in rows))
+    with pytest.raises(TraceError, match=r"the value of one quantity, which column name names \(u, lift\); export"):
+        draft_map(path, VALVE, "valve-sim map")
+    count = len(rows)
+    late = ["" if 2 * row >= count else f"{rows[2 * row][0]:.6f},{rows[2 * row][1]}" for row in range(count)]
+    path.write_text(
+        "t,lift,t_u,u\n" + "".join(f"{t:.6f},{x:.6f},{own or ','}\n" for (t, _, x), own in zip(rows, late, strict=True))
+    )
+    draft = draft_map(path, VALVE, "valve-sim map")
+    assert draft.count("steps of its own") == 1 and "# CHECK: t_u has steps of its own" in draft
+
+
 DRAFTED = {
     # the head, a row of t s, u V and x mm, and what the draft says of the time and the position
     "stamps": ("sec,nanosec,u,lift", "{s},{ns},{u:.4f},{x:.5f}", "[sec, nanosec], unit: [s, ns]", "lift, unit: mm"),

@@ -29,7 +29,7 @@ class Command(click.Command):
         super().__init__(*arguments, **{**settings, "help": _with_examples(settings.get("help"))})
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the command, unless what it is to write cannot be written: that is said before any work."""
+        """Run the command; refuse before any work what it could not write."""
         from valve_sim.files.whole_files import refuse_unwritable
 
         for name in WRITTEN:

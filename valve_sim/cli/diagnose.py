@@ -45,7 +45,7 @@ from valve_sim.cli.reading import (
     metavar="SECONDS",
     type=finite_number(1.0),
     default=120.0,
-    help="Work that the search may do: 4,000 simulated strokes for each second, on whatever machine.",
+    help="Work that the search may do: 4,000 simulated strokes for each second, on any machine.",
 )
 @click.option("--plot", metavar="PNG", type=FILE, help="Draw the plots of report.html as a picture, too.")
 @params_option

@@ -43,7 +43,7 @@ NEEDED: Final = ("dask", "distributed", "fsspec", "pyarrow")
     metavar="SECONDS",
     type=finite_number(1.0),
     default=120.0,
-    help="Work for one valve of a bag: 4,000 simulated strokes for each second, on whatever machine.",
+    help="Work for one valve of a bag: 4,000 simulated strokes for each second, on any machine.",
 )
 @click.option(
     "--largest-bag", metavar="GB", type=finite_number(0.0, is_open=True), default=4.0, help="Larger bags are not read."
@@ -68,12 +68,12 @@ def fleet(
     r"""Examine thousands of bags, and show which valve drifts.
 
     SOURCE is a bag, a folder that is searched for bags, a glob in quotes, or a URL such as s3://bucket/bags. Every
-    valve of every bag is refitted within its tolerances; where that leaves a residual, the missing effect is searched
-    for.
+    valve of every bag is refitted within its tolerances. If that leaves a residual, a search looks for the missing
+    effect.
       valve-sim fleet bags --output results
 
-    Writes DIR/fleet.parquet, one row for each bag and valve, DIR/fleet.html, and DIR/reports. The same command again
-    does only what is missing: after a crash, for new bags, and for those whose parameter file has changed.
+    Writes DIR/fleet.parquet, one row for each bag and valve, DIR/fleet.html, and DIR/reports. If you repeat the
+    command, it does only what is missing: after a crash, for new bags, and for those whose parameter file has changed.
 
     From object storage, with a parameter file for one tank; on a cluster:
       valve-sim fleet s3://plant/2026 --output results \

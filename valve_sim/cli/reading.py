@@ -97,7 +97,7 @@ def chosen_params(plant: Path | None, params: Path | None) -> Path | None:
 
 
 def read_plant(plant: Path, logs: Sequence[Path]) -> OwnPlant:
-    """A plant with its recordings; what was dropped on reading, and how inputs are joined, is said on stderr."""
+    """A plant with its recordings; stderr has what reading dropped, and how inputs are joined."""
     import numpy as np
 
     from valve_sim.files.plant_files import load_plant

@@ -42,7 +42,7 @@ _NO_YEAR: Final = 1900
 
 
 class Stamp(NamedTuple):
-    """A day by its number, 0 where there is none; s since its midnight; and s after which these begin anew."""
+    """A day by its number, 0 for none; seconds since midnight; and the period, s, of a clock that starts again at 0."""
 
     day: int
     seconds: float

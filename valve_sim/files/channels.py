@@ -48,6 +48,12 @@ UNITS: Final[Mapping[str, Mapping[str, Unit]]] = {
 """Units by dimension; the first of each is that of arrays, and the default of a map."""
 
 
+def nearest_unit(dimension: str, factor: float) -> str:
+    """The unit whose factor to SI is the nearest, in their ratio."""
+    units = UNITS[dimension]
+    return min(units, key=lambda name: abs(math.log(units[name].factor / factor)))
+
+
 class Signal(NamedTuple):
     """A sampled quantity beside the positions.
 

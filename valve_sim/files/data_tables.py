@@ -112,8 +112,8 @@ class _ArrayTable(DataTable):
             return np.asarray(found.astype("datetime64[ns]").astype(np.int64) * 1e-9)
         return np.asarray(found, dtype=np.float64) if found.dtype.kind in "biuf" else super()._numbers(place)
 
-    def _cells(self, place: int) -> list[str | None]:
-        return ["" if value is None else str(value) for value in self._columns[place].tolist()]
+    def _cells(self, place: int, most: int | None = None) -> list[str | None]:
+        return ["" if value is None else str(value) for value in self._columns[place][:most].tolist()]
 
 
 def _missing(path: Path, kind: str, package: str, extra: str) -> TableError:

@@ -11,7 +11,7 @@
     effects:
       offset: {add: {v: load/mass}, parameters: {load: {unit: N, neutral: 0, scale: 10}}}
 
-All numbers are SI after reading, whatever their units in the file. `coil` and `axis` are equations, too: files of the
+After reading, all numbers are in SI units. `coil` and `axis` are equations, too: files of the
 package, in which a user's file sets values (`plant_templates`).
 """
 
@@ -126,7 +126,7 @@ class PlantFile:
     """A plant as its file declares it.
 
     Attributes:
-        window: s, after which the states start anew and are estimated again; infinite: never.
+        window: s, after which the states start again and are estimated again; infinite: never.
         automaton: its modes, and what makes them change.
     """
 
@@ -606,7 +606,10 @@ class _Reader(PlantEntries):
         elif math.isfinite(upper - lower):
             scale = math.sqrt(lower * upper) if neutral is None and lower > 0.0 else 0.5 * (upper - lower)
         else:
-            raise self.fail(key, "has neither scale: nor a range: of two ends; say how large it may well be: scale: 10")
+            raise self.fail(
+                key,
+                "has neither scale: nor a range: with two ends; give the size that it may well have: scale: 10",
+            )
         return EffectParameter(unit, neutral, scale, lower, upper, self._title(key, entry), scale_of)
 
     def _add(

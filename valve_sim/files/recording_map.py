@@ -199,7 +199,7 @@ def place_of(reader: Entries, key: str, entry: Mapping[str, Any], clock: str) ->
     """Check the texts of an entry, which say where its numbers are; `clock` is that of an entry that names none.
 
     Raises:
-        MapError: It has neither a topic nor a column, or both, or one of the texts is not as it should be.
+        MapError: It does not have exactly one of topic and column, or a text is not valid.
     """
     texts = {name: reader.text(f"{key}.{name}", found) for name, found in entry.items()}
     reader.choice(f"{key}.clock", texts.setdefault("clock", clock), ("", *CLOCKS))
@@ -217,7 +217,7 @@ def time_axis(reader: Entries, found: object) -> TimeAxis:
     """Check where a map has the times of a table's rows.
 
     Raises:
-        MapError: It has neither a column nor a rate, or both; or its unit is none of time.
+        MapError: It does not have exactly one of column and rate, or its unit is not one of time.
     """
     if isinstance(found, str | int | list) and not isinstance(found, bool):
         found = {"column": found}

@@ -35,4 +35,4 @@ def _config_folder(code: Path) -> Path:
     for candidate in candidates:
         if candidate.is_dir():
             return candidate
-    raise ValveError(f"{candidates[0]}: no such folder above {code}; install valve_sim anew, with pip or colcon")
+    raise ValveError(f"{candidates[0]}: no such folder above {code}; install valve_sim again, with pip or colcon")

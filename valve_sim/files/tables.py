@@ -20,7 +20,10 @@ Array = NDArray[np.float64]
 MOST_REPEATED: Final = 20
 """Rows, of which one may have the time of the row before: logged twice, that is. More do not know their time."""
 _EPOCH_DAY: Final = 719_163
-"""The number of 1970-01-01."""
+_EXCEL_EPOCH: Final = 25_569
+"""The number of 1970-01-01, in Python and in a spreadsheet."""
+EXCEL_DAYS: Final = (2e4, 8e4)
+"""Days since 1899, of 1954 to 2119: a spreadsheet's dates as numbers."""
 PARTS: Final = {
     "ns": re.compile(r"(.*[^a-z])?(ns|nsecs?|nano.*)", re.IGNORECASE),
     "us": re.compile(r"(.*[^a-z])?([uµ]s|usecs?|micro.*)", re.IGNORECASE),
@@ -127,8 +130,8 @@ class DataTable:
             row = int(np.argmax(steps < 0)) + 1
             raise TableError(
                 f"{self.path}: {self.place(row)}: time {where} runs backwards, {times[row]:.9g} s after "
-                f"{times[row - 1]:.9g} s; sort the rows, cut the file where the logger began anew, or name another "
-                "column"
+                f"{times[row - 1]:.9g} s; sort the rows, cut the file where the logger started again, or name "
+                "another column"
             )
         kept = np.concatenate([[True], steps > 0])
         repeated = int((~kept).sum())
@@ -145,7 +148,8 @@ class DataTable:
         units = [self._unit(axis, number, self.names[place]) for number, place in enumerate(places)]
         parts = [self._numbers(place) for place in places]
         if len(parts) == 1:
-            return units[0] * parts[0], 0.0
+            is_calendar = units[0] == DAY and len(parts[0]) and EXCEL_DAYS[0] < parts[0][0] < EXCEL_DAYS[1]
+            return units[0] * parts[0], -DAY * _EXCEL_EPOCH if is_calendar else 0.0
         origin = float(parts[0][0])
         return units[0] * (parts[0] - origin) + units[1] * parts[1], units[0] * origin
 
@@ -183,8 +187,8 @@ class DataTable:
 
     def _are_stamps(self, places: Sequence[int], axis: TimeAxis) -> bool:
         """Whether columns hold dates or times of day."""
-        first = [self._cells(place)[:1] for place in places]
-        return bool(axis.form) or any(kind_of(cell) == "date" for cells in first for cell in cells if cell)
+        cells = [cell for place in places for cell in self._cells(place, 1) if cell]
+        return bool(axis.form) or any(kind_of(cell) == "date" for cell in cells)
 
     def _seconds(self, places: Sequence[int], axis: TimeAxis) -> tuple[Array, float]:
         """Times of such columns: (n,) s, and since when."""
@@ -205,8 +209,8 @@ class DataTable:
             "correct the line or take it out"
         )
 
-    def _cells(self, place: int) -> list[str | None]:
-        """The cells of a column as text; None where there is none."""
+    def _cells(self, place: int, most: int | None = None) -> list[str | None]:
+        """The first cells of a column, or all, as text; None where there is none."""
         raise NotImplementedError
 
 

@@ -25,6 +25,7 @@ MOST_COLUMNS: Final = 4096
 """Cells of a line; more is no table of a data logger."""
 DELIMITERS: Final = (";", "\t", "|", ",", None)
 _COMMENTS: Final = ("#", "%", "//", "!")
+_DIGITS: Final = frozenset("0123456789+-.")
 _LONGEST_PREAMBLE: Final = 500
 _LARGEST_PREAMBLE: Final = 500_000
 """Lines, and characters, that are searched for the first numbers."""
@@ -107,12 +108,20 @@ class TextTable(DataTable):
         """The numbers of the lines that are rows, from 0 on: not of comments, nor of a head that stands there again."""
         first, blank = self._layout.first, f" \t{self._layout.delimiter or ''}"
         head = {line.strip() for line in self._lines[:first]}
-        filled = [number for number in range(first, self._stop) if self._lines[number].strip(blank)]
-        found = [n for n in filled if not ((line := self._lines[n].strip()).startswith(_COMMENTS) or line in head)]
-        if len(found) < len(filled):
-            out = min(set(filled) - set(found))
-            words = f"{self._lines[out].strip()[:40]!r} in line {out + 1}"
-            self.findings += (f"{len(filled) - len(found)} lines among the numbers left out, such as {words}",)
+        found: list[int] = []
+        others: list[int] = []
+        for number in range(first, self._stop):
+            line = self._lines[number]
+            if line[:1] not in _DIGITS:
+                if not line.strip(blank):
+                    continue
+                if line.strip().startswith(_COMMENTS) or line.strip() in head:
+                    others.append(number)
+                    continue
+            found.append(number)
+        if others:
+            words = f"{self._lines[others[0]].strip()[:40]!r} in line {others[0] + 1}"
+            self.findings += (f"{len(others)} lines among the numbers left out, such as {words}",)
         return found
 
     def _end(self) -> int:
@@ -137,7 +146,8 @@ class TextTable(DataTable):
 
     def _numbers(self, place: int) -> Array:
         """The numbers of a column; of dates, s since midnight before the first one."""
-        text, delimiter = "\n".join(self._lines[number] for number in self._rows), self._layout.delimiter
+        delimiter, whole = self._layout.delimiter, self._lines[self._layout.first : self._stop]
+        text = "\n".join(whole if len(whole) == self.rows else [self._lines[number] for number in self._rows])
         if delimiter != ",":
             text = text.replace(",", ".")
         try:
@@ -150,9 +160,9 @@ class TextTable(DataTable):
         # A quote that is not closed makes one cell of many lines.
         return found if len(found) == self.rows else super()._numbers(place)
 
-    def _cells(self, place: int) -> list[str | None]:
-        """The cells of a column; None where a line ends before it."""
-        rows = (cells_of(self._lines[number], self._layout.delimiter) for number in self._rows)
+    def _cells(self, place: int, most: int | None = None) -> list[str | None]:
+        """The first cells of a column, or all; None where a line ends before it."""
+        rows = (cells_of(self._lines[number], self._layout.delimiter) for number in self._rows[:most])
         return [row[place] if place < len(row) else None for row in rows]
 
 

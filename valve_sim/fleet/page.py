@@ -41,20 +41,19 @@ MADE: Final = (
     ("Numbers", "They are in fleet.parquet, beside this page."),
     (
         "Each bag",
-        "The declared valve is refitted within its tolerances and what it leaves is tested; where something is left, "
-        "the missing effect is searched for.",
+        "The declared valve is refitted within its tolerances, and its residual is tested. If more than noise is left, "
+        "a search looks for the missing effect.",
     ),
     (
         "Trends",
-        "Of the declared valve as it was refitted to each bag, whatever else acts: times are at its reference "
-        "voltage from rest, so that bags of any strokes compare. Sizes of effects are shown where one was named, and "
-        "not tested.",
+        "They are those of the declared valve, refitted to each bag. Times are simulated at its reference voltage from "
+        "rest, so that bags of different strokes compare. Sizes of named effects are shown, but not tested.",
     ),
     (
         "Drift",
         "A robust test of the slope over the order of the bags in each of {} series of values, of valves with {} bags "
-        "or more; corrected for all of them together (Holm): where nothing drifts, the probability that any valve is "
-        "named is at most {:g} %. Lines are Theil and Sen's.",
+        "or more; corrected for all of them together (Holm): if nothing drifts, the probability of naming any valve "
+        "is at most {:g} %. Lines are Theil and Sen's.",
     ),
 )
 """How the page was made."""

@@ -53,8 +53,8 @@ def read_rows(path: Path) -> list[Row]:
     except (pa.ArrowException, OSError) as error:
         why = (str(error).splitlines() or [type(error).__name__])[0].rstrip(".")
         raise ValveError(
-            f"{path}: cannot be read as a table of this program ({why}); move it away, or choose another --output, and "
-            "the bags are examined anew"
+            f"{path}: cannot be read as a table of this program ({why}); move it away, or choose another --output; "
+            "the bags are then examined again"
         ) from error
     for missing in [field for field in wanted if field.name not in table.column_names]:
         table = table.append_column(missing, pa.nulls(len(table), missing.type))

@@ -1,7 +1,7 @@
 """Which valves drift: a test for trends in all quantities of all valves, with one false-alarm rate for the whole fleet.
 
-What is tested is the declared valve as it was refitted to each bag, in the same way for all: what that leaves out is
-the same in all bags of a valve, and cancels. What a search names, or does not, has no say.
+The test takes the values of the declared valve, refitted to each bag in the same way. What this model lacks is the same
+in all bags of a valve, and cancels. The names that a search finds have no influence.
 
 The test is of the slope of a straight line over the order of the bags: a robust fit (Huber's, 1964, with his correction
 of the variance), in which bags count by their standard errors, and what lies far off counts no more than what lies just

@@ -24,7 +24,7 @@ _SOURCE: Final = "the unit's parameters"
 
 @dataclass(frozen=True)
 class KeptState:
-    """Everything of a stepped valve at one time; opaque to whoever keeps it."""
+    """The whole state of a stepped valve at one time; opaque to its holder."""
 
     stepper: Stepper | None
     valve: Valve
@@ -115,8 +115,8 @@ class CoSimulatedValve:
         assert stepper is not None
         if time < self._end - 1e-9 * max(1.0, abs(self._end)):
             raise SimulationError(
-                f"a step from {time:.9g} s follows one that ended at {self._end:.9g} s; set the state that was kept "
-                "there before stepping back"
+                f"a step from {time:.9g} s follows one that ended at {self._end:.9g} s; to step back, first restore "
+                "a state that was kept at that time"
             )
         time = max(time, self._end)
         self._apply(stepper, time)

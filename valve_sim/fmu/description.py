@@ -15,7 +15,7 @@ _BASES: Final = ("m", "kg", "s", "A", "K")
 
 
 def unit_name(unit: str) -> str:
-    """A unit as FMI writes it: N·s²/m² is N.s2/m2. A pure number has none, nor has what may be of several units."""
+    """A unit as FMI writes it: N·s²/m² is N.s2/m2. Empty for a pure number and for several units."""
     name = unit.replace("–", "").replace("·", ".").replace("Ω", "Ohm").translate(_SUPERSCRIPTS)
     return "" if " or " in name else name
 

@@ -93,7 +93,7 @@ def step(volts: float, start: float = 0.0, end: float = math.inf) -> Drive:
 
 
 def peak_and_hold(levels: tuple[float, float], start: float, durations: tuple[float, float]) -> Drive:
-    """A high voltage that opens, and a low one that holds.
+    """A high voltage to open, then a low one to hold.
 
     Args:
         levels: the two voltages, V. start: of the first, s. durations: of the two, s.

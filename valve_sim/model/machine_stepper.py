@@ -80,7 +80,7 @@ class MachineStepper:
         return self._volts
 
     def reset(self, time: float) -> None:
-        """Start anew at `time`, s, without voltage."""
+        """Start again at `time`, s, without voltage."""
         delays = {0.0, self._channels.phase_delay, *self._channels.delays.values()}
         self._views = {delay: _View(self._live(self._numbers, time), time, delay) for delay in delays}
         self._volts = 0.0

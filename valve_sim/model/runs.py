@@ -21,7 +21,7 @@ from valve_sim.model.valve import Valve
 
 Array = NDArray[np.float64]
 WIDTHS: Final = (0, 16)
-"""Directions are carried by the processor's vectors, and each width is compiled anew: more than the last take turns."""
+"""Directions in one run: the processor's vectors carry them, and each width is compiled. More directions take turns."""
 _MOST: Final = WIDTHS[-1]
 NO_TIMES: Final = np.empty(0)
 

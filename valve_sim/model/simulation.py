@@ -35,7 +35,7 @@ def most_steps(duration: float) -> int:
 
 
 def start_of(drive: Drive, times: Array) -> float:
-    """When a run begins unless it is said: at the first command or sample, s."""
+    """The default start of a run, s: the first command or sample."""
     start = min(drive.times[0] if len(drive.times) else math.inf, times[0] if len(times) else math.inf)
     return float(start) if math.isfinite(start) else 0.0
 

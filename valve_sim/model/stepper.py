@@ -79,7 +79,7 @@ class Stepper:
         return self._volts
 
     def reset(self, time: float) -> None:
-        """Start anew at `time`, s: closed, at rest and without current."""
+        """Start again at `time`, s: closed, at rest and without current."""
         self._live = Live.at_rest(self._valve, time, self._tolerance)
         self._delay = 0.0
         self._become(self._valve, time)
@@ -160,9 +160,9 @@ class Stepper:
 
         Position, velocity, normalised current u and the outlet's pressure go on; a late or slow sensor shows the old
         valve until its delay has passed. Exceptions: plungers beyond a stop that moved inwards are put at the new
-        stop; a coil without inductance takes its new current. What only scales a reading shows at once: another rated
-        current, another gain of the sensor, another gap in the main plunger's position, and so do a sensor's shorter
-        delay and the end of its filter.
+        stop; a coil without inductance takes its new current. Changes that only scale a reading show at once (rated
+        current, gain of the sensor, gap in the main plunger's position), and so do a shorter delay of the sensor and
+        the end of its filter.
 
         Raises:
             SimulationError: no current follows from the flux of the valve; nothing has changed.

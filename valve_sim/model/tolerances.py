@@ -54,7 +54,7 @@ class SensorTolerances(NamedTuple):
 
 
 USUAL_SENSOR: Final = SensorTolerances()
-"""Of a sensor of which nothing is said: the usual lines of data sheets."""
+"""Tolerances of a sensor for which the file gives none: usual values of data sheets."""
 SENSOR: Final = {
     rule.name: rule
     for rule in (
@@ -62,7 +62,7 @@ SENSOR: Final = {
         Parameter("linearity", "1", "linearity of the position's sensor, as a share of the stroke; 0: exact", 0.0, 0.1),
     )
 }
-"""Name, unit and range of what is said of the sensor."""
+"""Name, unit and range of each of the sensor's tolerances."""
 
 
 @dataclass(frozen=True)

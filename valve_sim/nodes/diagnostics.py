@@ -80,7 +80,7 @@ class RejectionCount:
         self._is_last_rejected = True
 
     def words(self, unit: str) -> str:
-        """That something was rejected since this was last asked, or last of all; empty if not."""
+        """How many were rejected since the last call, or that the last one was; empty for neither."""
         rejected = self.rejected
         now, self._before = rejected - self._before, rejected
         if now:
@@ -132,7 +132,7 @@ def valve_status(live: LiveMachine[Any], failure: str) -> Status:
 
 
 def unheard_words(publishers: int) -> str:
-    """That there are publishers who cannot be heard; empty for none."""
+    """A warning of publishers that cannot be heard; empty for none."""
     if not publishers:
         return ""
     return f"publishers that offer an incompatible QoS and cannot be heard: {publishers}; publish reliable"

@@ -62,6 +62,14 @@ class Signals:
             os._exit(self._code)
         self.stop.ask(f"a signal came ({signal.Signals(number).name})")
 
+    @staticmethod
+    def pass_over() -> None:
+        """Pass over SIGINT from now on: Ctrl-C reaches a node of `ros2 launch` twice.
+
+        While Python ends, the second one would end the process with code −2: it takes other handlers out before.
+        """
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+
 
 if sys.argv[0].endswith(_PROGRAMS):
     # The code of command_profile says whether all was sent.

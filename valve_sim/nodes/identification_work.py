@@ -63,18 +63,10 @@ class Prediction(NamedTuple):
     def reading(self, index: int) -> Reading:
         """The reading at one sample; the main plunger's force is not given (NaN)."""
         own = self.response
-        columns = (
-            own.time,
-            own.pilot_position,
-            own.main_position,
-            own.pilot_velocity,
-            own.coil_current,
-            own.attraction,
-        )
-        time, pilot, main, velocity, current, attraction = (float(column[index]) for column in columns)
+        names = ("time", "pilot_position", "main_position", "pilot_velocity", "coil_current", "attraction")
+        time, pilot, main, velocity, current, attraction = (float(getattr(own, name)[index]) for name in names)
         phase = Phase(int(own.phase[index]))
         moves = velocity if phase is Phase.MAIN else 0.0
-        current = float(own.coil_current[index])
         return Reading(time, pilot, main, velocity, moves, current, attraction, _UNKNOWN, phase, ())
 
 

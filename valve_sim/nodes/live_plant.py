@@ -26,7 +26,9 @@ PHASE: Final = "phase"
 
 
 class NodePlant:
-    """A machine of a plant file that topics can command and show.
+    """A machine of a plant file that topics can command and show, and the table of its node's parameters.
+
+    The table has the node's own, and `parameters.<name>`, SI.
 
     Args:
         path: of the file.
@@ -61,6 +63,48 @@ class NodePlant:
     def modes(self) -> tuple[str, ...]:
         """The modes that are on ~/phase, in the order of their numbers; none without modes."""
         return tuple(self.file.automaton.regions.get(self.channels.region, ()))
+
+    def table(self) -> dict[str, NodeParameter]:
+        """Every parameter, by name."""
+        found = ValveSettings.rows()
+        for name, own in self.file.parameters.items():
+            key, meaning = f"{PLANT_KEY}{name}", own.title or "as the plant's file declares it"
+            rule = Parameter(name, own.unit.si, meaning, own.lower, own.upper, prior_scale=own.value)
+            found[key] = NodeParameter(key, own.value, meaning, own.unit.si, rule, read_only=False)
+        return found
+
+    def passes_over(self, name: str, given: Mapping[str, object]) -> bool:
+        """As of `NodeSettings`."""
+        return name in OF_ANY_NODE or name.startswith(VALVE_KEYS)
+
+    def values(self, given: Mapping[str, object], sources: Mapping[str, str]) -> dict[str, Value]:
+        """The values at the start; arguments and errors as of `check_given`."""
+        for name in given:
+            if name.startswith(VALVE_KEYS):
+                where, path = f"{sources.get(name, 'command line')}: {name}", self.file.path
+                raise ParameterError(
+                    f"{where}: is of the valve, which plant:={path} replaces; its own: {PLANT_KEY}<name>"
+                )
+        values = check_given(given, self.table(), sources, ValveSettings.program)
+        self.numbers(values)
+        return values
+
+    def of(self, values: Mapping[str, Value]) -> ValveSettings:
+        """The node's own among the values."""
+        return ValveSettings.of(values)
+
+    def numbers(self, values: Mapping[str, Value]) -> dict[str, float]:
+        """The machine's parameters among the values, SI.
+
+        Raises:
+            ParameterError: it cannot start with these.
+        """
+        numbers = {name: float(values[f"{PLANT_KEY}{name}"]) for name in self.file.parameters}
+        try:
+            self.stepper(numbers)
+        except SimulationError as error:
+            raise ParameterError(f"{self.file.path}: with these parameters {error}") from error
+        return numbers
 
     def _fail(self, key: str, words: str) -> PlantFileError:
         return PlantFileError(f"{self.file.path}: {key}: {words}")
@@ -98,59 +142,10 @@ class NodePlant:
         return Channels(delays, region, 0.0 if phase is None else phase.delay)
 
 
-class PlantParameters:
-    """The table of a node's parameters with a machine of a plant file: the node's own, and `parameters.<name>`, SI."""
-
-    def __init__(self, plant: NodePlant) -> None:
-        self._plant = plant
-
-    def table(self) -> dict[str, NodeParameter]:
-        """Every parameter, by name."""
-        found = ValveSettings.rows()
-        for name, own in self._plant.file.parameters.items():
-            key, meaning = f"{PLANT_KEY}{name}", own.title or "as the plant's file declares it"
-            rule = Parameter(name, own.unit.si, meaning, own.lower, own.upper, prior_scale=own.value)
-            found[key] = NodeParameter(key, own.value, meaning, own.unit.si, rule, read_only=False)
-        return found
-
-    def passes_over(self, name: str, given: Mapping[str, object]) -> bool:
-        """As of `NodeSettings`."""
-        return name in OF_ANY_NODE or name.startswith(VALVE_KEYS)
-
-    def values(self, given: Mapping[str, object], sources: Mapping[str, str]) -> dict[str, Value]:
-        """The values at the start; arguments and errors as of `check_given`."""
-        for name in given:
-            if name.startswith(VALVE_KEYS):
-                where, path = f"{sources.get(name, 'command line')}: {name}", self._plant.file.path
-                raise ParameterError(
-                    f"{where}: is of the valve, which plant:={path} replaces; its own: {PLANT_KEY}<name>"
-                )
-        values = check_given(given, self.table(), sources, ValveSettings.program)
-        self.numbers(values)
-        return values
-
-    def of(self, values: Mapping[str, Value]) -> ValveSettings:
-        """The node's own among the values."""
-        return ValveSettings.of(values)
-
-    def numbers(self, values: Mapping[str, Value]) -> dict[str, float]:
-        """The machine's parameters among the values, SI.
-
-        Raises:
-            ParameterError: it cannot start with these.
-        """
-        numbers = {name: float(values[f"{PLANT_KEY}{name}"]) for name in self._plant.file.parameters}
-        try:
-            self._plant.stepper(numbers)
-        except SimulationError as error:
-            raise ParameterError(f"{self._plant.file.path}: with these parameters {error}") from error
-        return numbers
-
-
 class LivePlant(LiveMachine[MachineStepper]):
     """A live machine that is of a plant file."""
 
-    rests = "the machine begins anew, at 0 V"
+    rests = "the machine starts again, at 0 V"
 
     def __init__(self, plant: NodePlant, numbers: Mapping[str, float], **options: float) -> None:
         super().__init__(**options)

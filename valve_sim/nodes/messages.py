@@ -91,7 +91,7 @@ class ReadingMessages:
 
 
 def blank_battery() -> BatteryState:
-    """A message of which nothing is known: a number that nobody measures is NaN."""
+    """An empty message: NaN stands for a number that nobody measures."""
     names = ("voltage", "temperature", "current", "charge", "capacity", "design_capacity", "percentage")
     return BatteryState(**dict.fromkeys(names, math.nan))
 

@@ -38,7 +38,7 @@ from valve_sim.nodes.monitor_work import (
     model_status,
     stroke_status,
 )
-from valve_sim.nodes.realtime import NANOSECONDS, SubscriberCounts
+from valve_sim.nodes.realtime import NANOSECONDS
 from valve_sim.nodes.settings import MonitorNodeSettings
 from valve_sim.nodes.threads import Repeating
 from valve_sim.nodes.valve_parameters import valve_of
@@ -81,7 +81,6 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
         self._isolation = FaultIsolation(self._tell)
         self._state_told = ""
         self._last_report: StrokeReport | None = None
-        self._incomplete = 0
         self._is_heard = False
         self._monitor_thread = MonitorThread(
             self._strokes, prepare=self._prepare, report=self._report, isolate=self._isolate, forget=self._forget,
@@ -112,9 +111,6 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
         interface = self._interface
         self._predicted = interface.publisher("~/predicted/joint_states")
         self._residual = interface.publisher("~/residual")
-        self._subscribers = SubscriberCounts(
-            self._predicted.get_subscription_count, self._residual.get_subscription_count
-        )
         self._stroke_report = interface.publisher("~/stroke_report")
         self._finding = interface.publisher("~/finding")
         self._messages = ReadingMessages(self._settings.frame_id)
@@ -142,7 +138,9 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
         if self._next_message - pause <= stamp < self._next_message:
             return
         self._next_message = stamp + pause
-        hears_predicted, hears_residual = self._subscribers.look(stamp)
+        hears_predicted, hears_residual = (
+            bool(topic.get_subscription_count()) for topic in (self._predicted, self._residual)
+        )
         self._is_heard = hears_predicted or hears_residual
         if hears_predicted:
             self._predicted.publish(self._messages.joint_states(stamp, prediction.reading))
@@ -163,12 +161,12 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
         if stamps := self._live.stamps.look(is_simulated=self._clock.is_simulated):
             self._node.get_logger().warning(stamps, throttle_duration_sec=BETWEEN_REMINDERS)
         wanted, last = self._settings.commissioning_strokes, self._last_report
-        lost = self._monitor_thread.lost + self._incomplete
-        doubt = stamps or (not_judged_words(last) if last is not None and last.is_incomplete else "")
+        lost = self._monitor_thread.lost
+        not_judged = not_judged_words(last) if last is not None and last.is_incomplete else ""
         return (
             health_status(self._live.segmenter.fault, self._strokes, last, wanted, self._isolation.found),
             model_status(self._strokes),
-            self._live.input.status(self._clock.elapsed(), lost, waiting_for, unheard, doubt),
+            self._live.input.status(self._clock.elapsed(), lost, waiting_for, unheard, stamps, not_judged),
             isolation_status(self._isolation),
         )
 
@@ -185,7 +183,7 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
 
     def _report(self, report: StrokeReport) -> None:
         self._last_report = report
-        self._incomplete += report.is_incomplete
+        self._live.input.incomplete += report.is_incomplete
         self._stroke_report.publish(self._diagnostics([stroke_status(report, self._valve)], report.record.stamp))
         self._keep()
         wanted = self._settings.commissioning_strokes

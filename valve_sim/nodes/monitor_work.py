@@ -10,7 +10,7 @@ import gc
 import math
 import queue
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Final, NamedTuple
 
 from valve_sim.identification.monitoring.agreement import Agreement
@@ -265,11 +265,15 @@ def health_status(
     values = {
         "strokes": "0" if last is None else str(last.record.number + 1),
         "alarms": str(monitor.alarms),
-        "state": state_words(_state(monitor)),
+        "state": state_words(monitor.state),
         "scatter of commands (ms)": number_words(1e3 * monitor.command_scatter, ".3f"),
         "highest sum": "none" if last is None or math.isnan(last.sum) else f"{last.sum:.2f} ({last.cause})",
         "threshold": "none" if last is None else number_words(last.threshold, ".2f"),
-        **({"residual (µm)": "none"} if last is None else _residual(last)),
+        **(
+            {"residual (µm)": "none"}
+            if last is None
+            else _figure("residual", last.rms, has_positions=last.has_positions)
+        ),
         "cause": "" if found is None else told_finding(*found),
     }
     if fault is None and last is not None and not last.has_positions:
@@ -287,7 +291,7 @@ def model_status(monitor: StrokeMonitor) -> Status:
     values = {
         "pilot_damping (N·s·m⁻¹)": f"{parameters.pilot_damping:.5g}",
         "main_damping (N·s·m⁻¹)": f"{parameters.main_damping:.5g}",
-        **_texts({_with_unit("noise", baseline.has_positions): _scale(baseline.has_positions) * baseline.noise.sigma}),
+        **_figure("noise", baseline.noise.sigma, has_positions=baseline.has_positions),
         "lateness (µs)": f"{1e6 * baseline.lateness:.1f}",
         "scatter of commands (µs)": f"{1e6 * baseline.scatter:.1f}",
     }
@@ -329,27 +333,10 @@ def _verdict_on(report: StrokeReport) -> tuple[Level, str]:
     return Level.OK, state_words(report.state) if report.remark is None else remark_words(report.remark)
 
 
-def _state(monitor: StrokeMonitor) -> StrokeState:
-    if monitor.baseline is None:
-        return StrokeState.COMMISSIONING
-    return StrokeState.TIMING_UNCERTAIN if monitor.is_timing_uncertain else StrokeState.WATCHING
-
-
-def _residual(report: StrokeReport) -> dict[str, str]:
-    """Of the position in µm, or of the current alone in mA."""
-    return _texts({_with_unit("residual", report.has_positions): _scale(report.has_positions) * report.rms})
-
-
-def _with_unit(name: str, has_positions: bool) -> str:
-    return f"{name} ({'µm' if has_positions else 'mA'})"
-
-
-def _scale(has_positions: bool) -> float:
-    return 1e6 if has_positions else 1e3
-
-
-def _texts(values: Mapping[str, float]) -> dict[str, str]:
-    return {name: number_words(value, ".3f") for name, value in values.items()}
+def _figure(name: str, value: float, *, has_positions: bool) -> dict[str, str]:
+    """What is measured, m in µm or, by the current alone, A in mA."""
+    unit, scale = ("µm", 1e6) if has_positions else ("mA", 1e3)
+    return {f"{name} ({unit})": number_words(scale * value, ".3f")}
 
 
 class StampCheck:
@@ -416,7 +403,10 @@ class InputCount:
         self.samples = 0
         self.commands = 0
         self.rejected = 0
+        self.incomplete = 0
+        """Strokes that were not judged because messages are missing or late."""
         self._why = ""
+        self._lost_before = 0
         self._looked_at = math.nan
         self._samples_before = 0
         self._rejected_before = 0
@@ -427,38 +417,43 @@ class InputCount:
         self.rejected += 1
         self._why = why
 
-    def status(self, now: float, lost: int, waiting_for: str, unheard: int = 0, doubt: str = "") -> Status:
+    def status(
+        self, now: float, lost: int, waiting_for: str, unheard: int = 0, stamps: str = "", not_judged: str = ""
+    ) -> Status:
         """Whether samples and commands arrive and can be used; counts since the last call.
 
         Args:
-            now: s of a monotonic clock. lost: strokes, in all, that were not judged for lack of time, or of messages.
+            now: s of a monotonic clock. lost: strokes, in all, that were not judged for lack of time.
             waiting_for: what is still missing, or empty. unheard: publishers of commands of incompatible QoS.
-            doubt: what `StampCheck` says, or that the last stroke was not judged.
+            stamps: what `StampCheck` says. not_judged: that the last stroke was not, for lack of messages; or empty.
         """
         fresh, rejected_now = self.samples - self._samples_before, self.rejected - self._rejected_before
         if fresh or math.isnan(self._last_sample):
             self._last_sample = now if fresh else math.nan
         rate = fresh / (now - self._looked_at) if now > self._looked_at else math.nan
         self._looked_at, self._samples_before, self._rejected_before = now, self.samples, self.rejected
-        silence = now - self._last_sample
+        silence, lost_now, self._lost_before = now - self._last_sample, lost - self._lost_before, lost
         values = {
             "samples": str(self.samples),
             "commands": str(self.commands),
             "rate (Hz)": number_words(rate, ".1f"),
             "rejected": str(self.rejected),
-            "strokes not judged": str(lost),
+            "strokes not judged": str(lost + self.incomplete),
         }
-        if doubt:
-            return Status("input", Level.WARN, doubt, values)
-        if waiting_for:
-            words = [f"waiting for {waiting_for}"]
-            words += [f"{self.rejected} rejected, the last: {self._why}"] if self.rejected else []
-            words += [unheard_words(unheard)] if unheard else []
-            return Status("input", Level.WARN, "; ".join(words), values)
-        if rejected_now:
-            return Status("input", Level.WARN, f"{rejected_now} rejected, the last: {self._why}", values)
-        if silence > SILENT_SECONDS:
-            return Status("input", Level.WARN, f"no sample for {silence:.1f} s", values)
-        if unheard:
-            return Status("input", Level.WARN, unheard_words(unheard), values)
-        return Status("input", Level.OK, "arrives", values)
+        rejections = f"rejected, the last: {self._why}"
+        waits = [
+            f"waiting for {waiting_for}",
+            *([f"{self.rejected} {rejections}"] if self.rejected else ()),
+            *([unheard_words(unheard)] if unheard else ()),
+        ]
+        doubts = (
+            stamps,
+            "; ".join(waits) if waiting_for else "",
+            f"{rejected_now} {rejections}" if rejected_now else "",
+            f"no sample for {silence:.1f} s" if silence > SILENT_SECONDS else "",
+            unheard_words(unheard),
+            f"{lost_now} strokes are not judged, for lack of time" if lost_now else "",
+            not_judged,
+        )
+        doubt = next(filter(None, doubts), "")
+        return Status("input", Level.WARN if doubt else Level.OK, doubt or "arrives", values)

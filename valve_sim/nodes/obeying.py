@@ -15,7 +15,7 @@ from valve_sim.nodes.diagnostics import RejectionCount, Status, pressure_status
 from valve_sim.nodes.live_machine import LiveMachine, Step
 from valve_sim.nodes.messages import ReadingMessages
 from valve_sim.nodes.node_clock import NodeClock
-from valve_sim.nodes.realtime import Arrival, Decimator, SubscriberCounts
+from valve_sim.nodes.realtime import Arrival, Decimator
 from valve_sim.nodes.receiving import Inbox, Source
 from valve_sim.nodes.wiring import Interface
 
@@ -76,9 +76,6 @@ class GasTopics:
         self._outlet_pressure = interface.publisher("~/outlet_pressure")
         self._mass_flow = interface.publisher("~/mass_flow")
         self._obeyed = {name: interface.publisher(f"~/obeyed/{name}") for name in topics.ENDS}
-        self._subscribers = SubscriberCounts(
-            self._outlet_pressure.get_subscription_count, self._mass_flow.get_subscription_count
-        )
         self._samples = Decimator(_RATE)
 
     def words(self) -> str:
@@ -98,10 +95,9 @@ class GasTopics:
             self._obeyed[name].publish(self._messages.pressure(stamp, pressure))
         if not self._samples.is_due(deadline) or math.isnan(step.reading.outlet_pressure):
             return
-        hears_outlet_pressure, hears_mass_flow = self._subscribers.look(deadline)
-        if hears_outlet_pressure:
+        if self._outlet_pressure.get_subscription_count():
             self._outlet_pressure.publish(self._messages.pressure(step.stamp, step.reading.outlet_pressure))
-        if hears_mass_flow:
+        if self._mass_flow.get_subscription_count():
             self._mass_flow.publish(self._messages.number(step.reading.mass_flow))
 
     def statuses(self, pressures: Mapping[str, float]) -> Iterator[Status]:

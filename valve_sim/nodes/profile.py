@@ -27,7 +27,7 @@ from valve_sim.nodes.profile_playing import (
 )
 from valve_sim.nodes.realtime import LISTENERS_SECONDS, NANOSECONDS
 from valve_sim.nodes.spinning import every, wait_until_heard
-from valve_sim.nodes.wiring import CommandingNode, full_name
+from valve_sim.nodes.wiring import RosNode, full_name
 
 _LOOK_SECONDS: Final = 0.05
 _UNKNOWN_NODE: Final = "_NODE_NAME_UNKNOWN_"
@@ -36,7 +36,7 @@ _NAMELESS: Final = "a node without a name so far"
 _PROGRESS_SECONDS: Final = 5.0
 
 
-class ProfileNode(CommandingNode[ProfileSettings]):
+class ProfileNode(RosNode[ProfileSettings]):
     """The node `command_profile`, with the topics `topics.PROFILE`.
 
     Parameters: `profile_playing.ProfileSettings`; they are read once, at the start.

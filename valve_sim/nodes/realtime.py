@@ -22,8 +22,6 @@ LISTENERS_SECONDS: Final = 0.5
 """s to wait for the discovery of subscribers, which takes up to a quarter of a second."""
 BACKLOG_SECONDS: Final = 0.5
 """s: samples that are overdue for longer are dropped; the model is stepped over them nevertheless."""
-_LOOKS_RATE: Final = 50.0
-"""Hz of looks at who subscribes: a new subscriber may take longer to be discovered."""
 LONGEST_LEAP_SECONDS: Final = 60.0
 """s: a clock that moves further between two readings has been set."""
 _LONGEST_LEAP: Final = round(LONGEST_LEAP_SECONDS * NANOSECONDS)
@@ -283,20 +281,6 @@ class Decimator:
         """Whether the step at clock time `clock`, ns, is one; to be asked once for each step."""
         before, self._last = self._last, clock // self._period
         return self._last != before
-
-
-class SubscriberCounts:
-    """Which of some topics anyone subscribes to, looked at every 20 ms: what nobody hears need not be published."""
-
-    def __init__(self, *counts: Callable[[], int]) -> None:
-        self._counts, self._looks = counts, Decimator(_LOOKS_RATE)
-        self._is_heard: tuple[bool, ...] = ()
-
-    def look(self, clock: int) -> tuple[bool, ...]:
-        """Of each topic, at the last look; `clock`, ns, is the time of the clock by which looks are apart."""
-        if self._looks.is_due(clock):
-            self._is_heard = tuple(count() > 0 for count in self._counts)
-        return self._is_heard
 
 
 class TimedQueue:

@@ -131,8 +131,9 @@ class Inbox:
         except (AttributeError, TypeError):
             self._can_take = False  # this rclpy has another way; the executor's is the same in all
             self._wake_executor()
-        except Exception as error:  # of rclpy, which refuses a message
-            log_left_out(self._node, error)
+        except Exception as error:  # of rclpy, which refuses a message; at its end it has no subscription any more
+            if self._node.context.ok():
+                log_left_out(self._node, error)
         return found
 
     def _arrival(self, info: Any) -> Arrival:

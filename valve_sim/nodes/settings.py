@@ -41,7 +41,7 @@ class IdentificationSettings(NodeSettings):
         "plunger the default is main_damping alone",
     )
     rate: float = option(1.0, "replay: 1 as recorded, 2 twice as fast, 0 as fast as possible", "–", 0.0)
-    loop: bool = option(False, "whether the replay begins anew at its end")
+    loop: bool = option(False, "whether the replay starts again at its end")
     apply_to: str = option("", "running valve node that is given the result, if nothing speaks against it; empty: none")
     apply_always: bool = option(False, "whether apply_to is given a result that something speaks against, too")
     output: str = option(
@@ -109,7 +109,7 @@ class MonitorNodeSettings(NodeSettings):
     stroke_timeout: float = option(_USUAL.stroke_timeout, "a stroke that has not ended by then is", "s", 0.1, 1e6)
     settle: float = option(_USUAL.settle, "of rest, after which a stroke has ended", "s", 5e-3, 100.0)
     patience: float = option(
-        _USUAL.patience, "a valve that is later than the model by more is said to be stuck", "s", 1e-3, 1e3
+        _USUAL.patience, "the monitor reports a valve as stuck if it is later than the model by more", "s", 1e-3, 1e3
     )
     noise_um: float = option(0.0, "standard deviation of the position sensor; 0: estimated", "µm", 0.0, 1e4)
     max_rate: float = option(

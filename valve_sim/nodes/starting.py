@@ -90,7 +90,10 @@ class Program(NamedTuple):
             if node is None and (module := sys.modules.get("rclpy")) is not None:
                 module.try_shutdown()
         signals.stop = node.stop
-        return _run(self.name, node)
+        try:
+            return _run(self.name, node)
+        finally:
+            signals.pass_over()
 
     @property
     def usage(self) -> str:

@@ -26,7 +26,7 @@ from valve_sim.nodes.live_valve import LiveValve
 from valve_sim.nodes.messages import IS_OPEN, JOINTS_OF, PHASE, ReadingMessages
 from valve_sim.nodes.obeying import BETWEEN_WARNINGS, GasTopics, ObeyedTopic
 from valve_sim.nodes.parameters import Declares, Value, as_declared, changed_words, check_given, sources_of
-from valve_sim.nodes.realtime import NANOSECONDS, Restart, SubscriberCounts, Worker
+from valve_sim.nodes.realtime import NANOSECONDS, Restart, Worker
 from valve_sim.nodes.receiving import Inbox
 from valve_sim.nodes.spinning import guarded
 from valve_sim.nodes.valve_parameters import ValveSettings, valve_of
@@ -48,10 +48,10 @@ def valve_node(sections: Sequence[tuple[str, Section]]) -> ValveNode:
         place = sources_of(sections, name).get("plant", "command line")
         path = ValveSettings.rows()["plant"].check(node.get_parameter("plant").value, f"{place}: plant")
         if path:
-            from valve_sim.nodes.live_plant import LivePlant, NodePlant, PlantParameters
+            from valve_sim.nodes.live_plant import LivePlant, NodePlant
 
-            table = PlantParameters(plant := NodePlant(path))
-            return ValveNode(node, sections, table, table.numbers, partial(LivePlant, plant))
+            plant = NodePlant(path)
+            return ValveNode(node, sections, plant, plant.numbers, partial(LivePlant, plant))
     return ValveNode(node, sections, ValveSettings, partial(valve_of, source=name), LiveValve)
 
 
@@ -91,7 +91,6 @@ class ValveNode(RosNode[ValveSettings]):
             ("~/coil_current", self._publish_current, "current" in live.shows),
         ]
         self._samples = [(interface.publisher(name), publish) for name, publish, is_shown in wanted if is_shown]
-        self._subscribers = SubscriberCounts(*(publisher.get_subscription_count for publisher, _ in self._samples))
         self._phase, self._is_open = (
             interface.publisher(f"~/{name}") if name in live.shows else None for name in ("phase", "is_open")
         )
@@ -161,8 +160,8 @@ class ValveNode(RosNode[ValveSettings]):
         self._follow_system_clock()
         self._inbox.deliver()
         step = self._live.step(deadline)
-        for is_heard, (publisher, publish) in zip(self._subscribers.look(deadline), self._samples, strict=True):
-            if is_heard:
+        for publisher, publish in self._samples:
+            if publisher.get_subscription_count():
                 publish(publisher, step)
         if self._gas is not None:
             self._gas.publish(deadline, step)

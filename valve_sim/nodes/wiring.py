@@ -7,7 +7,6 @@ and ROS is there until the last command, 0 V, is heard.
 from __future__ import annotations
 
 import importlib
-import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Generic, Protocol
 
@@ -18,7 +17,6 @@ from rclpy.expand_topic_name import expand_topic_name
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
 from valve_sim.files.parameter_sections import Section
@@ -38,7 +36,7 @@ from valve_sim.nodes.parameters import (
     sources_of,
 )
 from valve_sim.nodes.receiving import Inbox, Source, Take
-from valve_sim.nodes.spinning import every, guarded, spin, wait_until_heard
+from valve_sim.nodes.spinning import every, guarded, spin
 from valve_sim.nodes.threads import Fail, StoppableThread
 from valve_sim.nodes.topics import Qos, Topic
 
@@ -273,29 +271,3 @@ class _Answering(StoppableThread):
             spin(self._node)
         except ExternalShutdownException:
             self._end_work("ROS was shut down")
-
-
-class CommandingNode(RosNode[S]):
-    """A node that commands 0 V at its end.
-
-    Whichever thread commands does so under `_commanding`, unless `_is_off`.
-    """
-
-    def __init__(
-        self, name: str, sections: Sequence[tuple[str, Section]], settings: Declares[S], topics: Sequence[Topic]
-    ) -> None:
-        super().__init__(name, sections, settings, topics)
-        self._voltages: list[Publisher] = []
-        self._commanding = threading.Lock()
-        self._is_off = False
-        """Whether 0 V has been commanded for good; whoever is still at work then commands nothing."""
-
-    def _finish(self) -> None:
-        """Command 0 V to every coil for good, and wait until that is heard."""
-        with self._commanding:
-            self._is_off = True
-            if not self._node.context.ok():
-                return
-            for voltage in self._voltages:
-                voltage.publish(Float64(data=0.0))
-        wait_until_heard(self._voltages)

@@ -267,7 +267,7 @@ class _Reading:
                 gap = float(np.max(np.diff(times)))
                 self._findings.append(
                     f"{name}: {int((used & near).sum())} samples beside gaps (the longest {gap:.3g} s) were left out, "
-                    "since a filter begins anew after each"
+                    "since a filter starts again after each"
                 )
                 used &= ~near
         readings = _low_passed(readings, times, low_pass, order)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from valve_sim.recordings.resting_noise import MAD_TO_SIGMA
+from valve_sim.recordings.motion import sample_noise
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -35,6 +35,8 @@ AS_PLAIN: Final = 0.5
 """Share of the plainest bend's standard errors that an earlier one has, of a contact before it."""
 BETTER: Final = 3.0
 """By this factor a bend must lower the variance of what is left: a smooth curve is no cubic either."""
+NOISE: Final = 4
+"""Order of the differences that show the current's noise: lower ones show the current itself."""
 SHARPEST: Final = 0.05
 """Of the interval between samples: the least standard error, of a bend that takes a part of it."""
 EVEN: Final = 0.02
@@ -77,8 +79,8 @@ def _bend(times: Array, values: Array, order: int) -> Bend | None:
     windows = np.lib.stride_tricks.sliding_window_view(values, 2 * half + 1)
     spans = times[2 * half :] - times[: -2 * half]
     is_even = np.abs(spans / (2 * half * interval) - 1.0) < EVEN
-    noise = MAD_TO_SIGMA * float(np.median(np.abs(np.diff(values, 4)))) / math.sqrt(70.0)
-    size, plainness, gain = _plainness(windows, np.arange(-half, half + 1) / half, order, noise)
+    place, noise = np.arange(-half, half + 1) / half, sample_noise(values, NOISE)
+    size, plainness, gain = _plainness(windows, place, order, noise)
     plainness[~is_even | (gain < BETTER)] = 0.0
     plainness[:2] = plainness[-2:] = 0.0
     if order == 1:

@@ -13,7 +13,7 @@ from valve_sim.files.channels import CHANNELS, SIGNALS, UNITS
 from valve_sim.files.data_tables import TABLE_SUFFIXES, open_table
 from valve_sim.files.entries import Entries
 from valve_sim.files.recording_map import MapError, TimeAxis, map_from, time_axis
-from valve_sim.files.tables import MOST_REPEATED, PARTS, DataTable, TableError
+from valve_sim.files.tables import EXCEL_DAYS, MOST_REPEATED, PARTS, DataTable, TableError
 from valve_sim.model.errors import ValveError
 from valve_sim.recordings.map_series import Series, bag_series, table_series
 from valve_sim.recordings.reading import read_trace
@@ -22,12 +22,14 @@ from valve_sim.recordings.trouble import MOST_AMPERES
 from valve_sim.recordings.voltage_steps import count_levels
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
     from valve_sim.model import ValveParameters
+
+    Array = NDArray[np.float64]
 
 HINTS = {key: channel.hint for key, channel in CHANNELS.items() if channel.hint}
 """Words in the names of a channel's topics, fields and columns."""
@@ -51,8 +53,6 @@ FORMS = tuple(
 """Dates that are tried beside ISO and German ones."""
 NANOSECONDS = (1e6, 1e9)
 """Between which the largest lies of a recording that lasts longer than a millisecond."""
-EXCEL_DAYS = (2e4, 8e4)
-"""Days since 1899, of 1954 to 2119: a spreadsheet's dates as numbers."""
 
 
 class Guess(NamedTuple):
@@ -335,8 +335,13 @@ def _other_guess(quantity: str, entry: Series, *, is_named: bool, parameters: Va
 
 def _time_line(table: DataTable) -> tuple[list[str], list[Series]]:
     """The lines about time, and what the other columns hold."""
-    columns = {name: values for name in table.names if (values := _numbers(table, name)) is not None}
-    parts = [(first, second) for first, second in itertools.pairwise(table.names) if _is_part(table, first, second)]
+    columns, troubles = {}, {}
+    for name in table.names:
+        try:
+            columns[name] = table.column(name)
+        except TableError as error:  # words
+            troubles[name] = str(error).removeprefix(f"{table.path}: ").partition(";")[0]
+    parts = [pair for pair in itertools.pairwise(table.names) if _is_part(columns, *pair)]
     with np.errstate(invalid="ignore"):  # of readings beyond the range
         steps_of = {name: np.diff(values) for name, values in columns.items() if len(values) > 1}
     dating = {name: steps for name, steps in steps_of.items() if _dates(name, steps)}
@@ -344,15 +349,15 @@ def _time_line(table: DataTable) -> tuple[list[str], list[Series]]:
     named = [name for name in usable if PLAIN.fullmatch(name)]
     tried = [_whole_stamp(table, pair) for pair in parts]
     tried += [_stamp(table, name, columns[name]) for name in (*named, *usable)[:1]]
-    tried += [_dated(table, name) for name in table.names if name not in columns]
+    tried += [_dated(table, name) for name in troubles]
     entry, reason = next((found for found in tried if found), (None, ""))
     if entry is None and table.interval[0]:
         entry, reason = {"rate": float(f"{1.0 / table.interval[0]:.9g}")}, f"CHECK: by {table.interval[1]} in its head"
     if entry is None:
-        _refuse_one_value_a_row(table)
+        _refuse_one_value_a_row(table, troubles)
         coarse = next((name for name in dating if PLAIN.fullmatch(name)), None)
         why = "no column ascends" if coarse is None else f"column {coarse} repeats: it has too few digits"
-        why = next((words for name in table.names if PLAIN.fullmatch(name) and (words := _trouble(table, name))), why)
+        why = next((words for name, words in troubles.items() if PLAIN.fullmatch(name)), why)
         raise TraceError(
             f"{table.path}: {why}, and nothing else says when its rows were taken; write a map by hand with "
             "time: {rate: ...} (rows a second), or export the times"
@@ -361,20 +366,29 @@ def _time_line(table: DataTable) -> tuple[list[str], list[Series]]:
     series = table_series(table, {name: values for name, values in columns.items() if name not in axis.columns})
     steps = np.diff(table.row_times(axis).times)
     rate = 1.0 / float(np.median(steps[steps > 0.0]))
-    return [f"# {rate:.6g} rows a second; {reason}", f"time: {_yaml(entry)}"], series
+    lines = [f"# {rate:.6g} rows a second; {reason}", f"time: {_yaml(entry)}"]
+    if len(axis.columns) == 1 and (taken := columns.get(axis.columns[0])) is not None:
+        lines += [
+            f"# CHECK: {name} has steps of its own: if it is the time of columns beside it, export all by one clock"
+            for name, own in columns.items()
+            if name != axis.columns[0] and _is_another_clock(own, taken)
+        ]
+    return lines, series
 
 
-def _numbers(table: DataTable, name: str) -> NDArray[np.float64] | None:
-    try:
-        return table.column(name)
-    except TableError:  # words
-        return None
+def _is_another_clock(values: Array, taken: Array) -> bool:
+    """Whether a column grows by equal steps, as times do, from where a column of times begins, but by other ones."""
+    seen = np.isfinite(values)
+    steps, usual = np.diff(values[seen]), float(np.median(np.diff(taken)))
+    if len(steps) < MOST_LEVELS or not np.ptp(steps) < 0.01 * abs(float(steps.mean())) or (steps == 1.0).all():
+        return False
+    return bool(values[seen][0] == taken[0] and abs(float(steps.mean()) - usual) > 0.01 * usual)
 
 
-def _refuse_one_value_a_row(table: DataTable) -> None:
+def _refuse_one_value_a_row(table: DataTable, names: Iterable[str]) -> None:
     """Refuse a table in which a column of few words says what each row has a value of, as archives of a PLC do."""
-    for name in table.names:
-        words = list(dict.fromkeys(table.texts(name))) if _trouble(table, name) else []
+    for name in names:
+        words = list(dict.fromkeys(table.texts(name)))
         if 1 < len(words) <= MOST_LEVELS < table.rows:
             raise TraceError(
                 f"{table.path}: each row has the value of one quantity, which column {name} names "
@@ -382,25 +396,15 @@ def _refuse_one_value_a_row(table: DataTable) -> None:
             )
 
 
-def _trouble(table: DataTable, name: str) -> str:
-    """Why a column cannot be read; empty where it can."""
-    try:
-        table.column(name)
-    except TableError as error:
-        return str(error).removeprefix(f"{table.path}: ").partition(";")[0]
-    return ""
-
-
-def _is_part(table: DataTable, first: str, second: str) -> bool:
+def _is_part(columns: Mapping[str, Array], first: str, second: str) -> bool:
     """Whether two columns hold one time: a day and a time of day, or seconds and their fractions."""
     if first.isdigit():  # without names: as `ros2 topic echo --csv` writes a stamp
-        seconds, rest = _numbers(table, first), _numbers(table, second)
-        return seconds is not None and rest is not None and _is_stamp(seconds, rest)
+        return {first, second} <= set(columns) and _is_stamp(columns[first], columns[second])
     is_fraction = any(part.fullmatch(second) for part in PARTS.values())
     return (is_fraction or PLAIN.fullmatch(second) is not None) and WHOLE.fullmatch(first) is not None
 
 
-def _is_stamp(seconds: NDArray[np.float64], rest: NDArray[np.float64]) -> bool:
+def _is_stamp(seconds: Array, rest: Array) -> bool:
     """Whether two columns hold seconds that ascend and their nanoseconds."""
     are_whole = all((own == np.round(own)).all() and own.min() >= 0.0 for own in (seconds, rest))
     return bool(are_whole and (np.diff(seconds) >= 0.0).all() and NANOSECONDS[0] < rest.max() < NANOSECONDS[1])
@@ -417,7 +421,7 @@ def _whole_stamp(table: DataTable, pair: tuple[str, str]) -> tuple[dict[str, obj
     return entry, "time in two columns"
 
 
-def _stamp(table: DataTable, name: str, values: NDArray[np.float64]) -> tuple[dict[str, object], str]:
+def _stamp(table: DataTable, name: str, values: Array) -> tuple[dict[str, object], str]:
     """The entry of a time in a column of numbers or of dates that are known."""
     step = float(np.median(np.diff(values)[np.diff(values) > 0.0]))
     units = UNITS["time"]
@@ -443,7 +447,7 @@ def _dated(table: DataTable, name: str) -> tuple[dict[str, object], str] | None:
     return None
 
 
-def _dates(name: str, steps: NDArray[np.float64]) -> bool:
+def _dates(name: str, steps: Array) -> bool:
     """Whether a column may be of times: it never falls, and is no counter of rows unless its name says time."""
     never_falls = bool((steps >= 0.0).all() and steps.any())
     return never_falls and (not (steps == 1.0).all() or PLAIN.fullmatch(name) is not None)

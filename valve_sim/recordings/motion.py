@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,11 +24,11 @@ SMALLEST_MOTION = 1e-6
 """m; below the resolution that any of the sensors of the paper resolves at rest."""
 
 
-def sample_noise(position: Array) -> float:
-    """Return the standard deviation of white noise on a position, m, from second differences (robust to motion)."""
-    if len(position) < 4:
+def sample_noise(values: Array, order: int = 2) -> float:
+    """Return the standard deviation of white noise, from differences of an order, of which few are of motion."""
+    if len(values) < order + 2:
         return 0.0
-    return float(MAD_TO_SIGMA * np.median(np.abs(np.diff(position, 2))) / np.sqrt(6.0))
+    return float(MAD_TO_SIGMA * np.median(np.abs(np.diff(values, order)))) / math.sqrt(math.comb(2 * order, order))
 
 
 def motion_threshold(position: Array) -> float:

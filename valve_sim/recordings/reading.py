@@ -195,7 +195,7 @@ class _Assembly:
         columns, main = [values], self.plan.sources.get("main_position")
         if key == "position" and main is not None and self.recorded.are_beside(source, main):
             columns.append(self.main_beside(main, values))
-        if key == "position":
+        if key == "position" and not self.recorded.is_table:
             columns = self.without_broken(where, columns)
         if beyond := int(np.isinf(columns[0]).sum()):
             self.findings.append(f"{where}: left out {beyond} clipped readings (∞)")

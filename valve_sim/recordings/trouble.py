@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from valve_sim.files.channels import CHANNELS, SIGNALS, UNITS
+from valve_sim.files.channels import CHANNELS, SIGNALS, UNITS, nearest_unit
 from valve_sim.model.core_types import Phase
 from valve_sim.model.drives import Drive
 from valve_sim.recordings.clocks import find_gaps
@@ -200,7 +200,7 @@ def _position(trace: Trace, parameters: ValveParameters) -> str:
     stroke, travel = parameters.stroke, largest_travel(trace.usable_position)
     where = _where(trace, "position")
     if travel > MOST_STROKES * stroke:
-        factor = _unit_factor(trace, "position", stroke / travel)
+        _, _, factor = _unit(trace, "position", stroke / travel)
         return (
             f"{where}: {PILOT} travels {travel:.4g} m, expected about {stroke:.4g} m (valve.stroke), at most "
             f"{MOST_STROKES * stroke:.4g} m: about {1.0 / factor:.4g} times too large{_mend(trace, 'position', factor)}"
@@ -311,22 +311,19 @@ def _power_of_ten(ratio: float) -> float:
     return float(10.0 ** np.round(np.log10(ratio)))
 
 
-def _unit_factor(trace: Trace, quantity: str, factor: float) -> float:
-    """That of the unit of a map which makes the numbers nearest to so many times as large."""
-    units = UNITS[CHANNELS[quantity].dimension]
-    taken = units[trace.units.get(quantity, CHANNELS[quantity].unit)].factor
-    return float(min((own.factor / taken for own in units.values()), key=lambda own: abs(np.log(own / factor))))
+def _unit(trace: Trace, quantity: str, factor: float) -> tuple[str, str, float]:
+    """The unit that was taken, the one that makes the numbers nearest to so many times as large, and what it makes."""
+    units, taken = UNITS[CHANNELS[quantity].dimension], trace.units.get(quantity, CHANNELS[quantity].unit)
+    right = nearest_unit(CHANNELS[quantity].dimension, units[taken].factor * factor)
+    return taken, right, units[right].factor / units[taken].factor
 
 
 def _mend(trace: Trace, quantity: str, factor: float) -> str:
     """What to do about numbers that should be so many times as large: another unit of the map, or a scale."""
-    units = UNITS[CHANNELS[quantity].dimension]
-    taken = trace.units.get(quantity, CHANNELS[quantity].unit)
-    right = units[taken].factor * factor
-    unit = min(units, key=lambda name: abs(np.log(units[name].factor / right)))
-    if unit == taken:
+    taken, right, _ = _unit(trace, quantity, factor)
+    if right == taken:
         return f"; correct it with --map and scale: {factor:g}"
-    return f", as if {unit} were taken for {taken}; correct it with --map and unit: {unit}"
+    return f", as if {right} were taken for {taken}; correct it with --map and unit: {right}"
 
 
 def _exchanged(trace: Trace, parameters: ValveParameters) -> str:
@@ -372,7 +369,7 @@ def _opposed(trace: Trace) -> list[str]:
     signal = trace.coil_current
     if signal is None or not len(signal.values):
         return []
-    volts = np.concatenate([[0.0], trace.drive.volts])[np.searchsorted(trace.drive.times, signal.times, side="right")]
+    volts = trace.drive.at(signal.times)
     along = np.sign(volts) * signal.values
     most = float(np.quantile(np.abs(signal.values), 0.999))
     if not volts.any() or float(np.median(along[volts != 0.0])) > -0.3 * most:
@@ -385,8 +382,7 @@ def _opposed(trace: Trace) -> list[str]:
 
 def _inverted(trace: Trace, positions: str) -> list[str]:
     """Whether the position falls where the coil is switched on: one sentence, or none."""
-    index = np.searchsorted(trace.drive.times, trace.times, side="right")
-    volts = np.abs(np.concatenate([[0.0], trace.drive.volts]))[index]
+    volts = np.abs(trace.drive.at(trace.times))
     on, off = volts > 0.5 * volts.max(initial=0.0), volts == 0.0
     if not (on.any() and off.any()):
         return []

@@ -165,44 +165,33 @@ def write_bag(
     trace: Trace,
     *,
     valve: str = "/valve",
-    velocities: NDArray[np.float64] | None = None,
-    efforts: NDArray[np.float64] | None = None,
     storage: Storage = "mcap",
     compressed: bool = False,
 ) -> None:
-    """Write a trace with the topics of measured data; bag times are the stamps.
+    """Write a trace below the name of its valve; see `write_bags`."""
+    write_bags(path, {valve: trace}, storage=storage, compressed=compressed)
+
+
+def write_bags(
+    path: str | PathLike[str], traces: Mapping[str, Trace], *, storage: Storage = "mcap", compressed: bool = False
+) -> None:
+    """Write traces, by the names in front of their topics, with the topics of measured data; bag times are the stamps.
 
     Args:
         path: Ends with .mcap for a bare file, otherwise a rosbag2 folder that must not exist.
-        trace: What to write.
-        valve: The name in front of the topics.
-        velocities: m/s, shape (n, 2), pilot and main plunger; None writes NaN (not measured).
-        efforts: N, shape (n, 2); None writes NaN.
+        traces: What to write.
         storage: What a folder holds: "mcap" or "sqlite3".
         compressed: Pack with zstd.
 
     Raises:
         TraceError: The place cannot be written to, or stamps are before 1970.
     """
-    write_bags(path, {valve: trace}, velocities=velocities, efforts=efforts, storage=storage, compressed=compressed)
-
-
-def write_bags(
-    path: str | PathLike[str],
-    traces: Mapping[str, Trace],
-    *,
-    velocities: NDArray[np.float64] | None = None,
-    efforts: NDArray[np.float64] | None = None,
-    storage: Storage = "mcap",
-    compressed: bool = False,
-) -> None:
-    """Write several valves, by name, into one recording with the topics that `write_bag` writes."""
     topics: dict[str, _Messages] = {}
     for valve, trace in traces.items():
         if trace.epoch_ns + SECOND * min(float(trace.drive.times.min(initial=0.0)), float(trace.sample_times[0])) < 0:
             raise TraceError(f"{path}: stamps before 0 cannot be stored in a bag; start the trace at 0 or later")
         prefix = "/" + valve.strip("/") if valve.strip("/") else ""
-        topics |= {f"{prefix}/{name}": found for name, found in _measured_topics(trace, velocities, efforts).items()}
+        topics |= {f"{prefix}/{name}": found for name, found in _measured_topics(trace).items()}
     with BagRecorder(path, storage=storage, compressed=compressed) as recorder:
         for topic, messages in topics.items():
             recorder.add_topic(topic, messages.message_type)
@@ -257,13 +246,11 @@ def _in_time(topics: Sequence[_Messages]) -> Iterator[list[tuple[_Messages, slic
         yield [(messages, slice(*own[part : part + 2])) for messages, own in zip(topics, cuts, strict=True)]
 
 
-def _measured_topics(
-    trace: Trace, velocities: NDArray[np.float64] | None, efforts: NDArray[np.float64] | None
-) -> dict[str, _Messages]:
+def _measured_topics(trace: Trace) -> dict[str, _Messages]:
     """Return the messages of each topic."""
     topics = {COMMAND: _Messages(FLOAT, _nanoseconds(trace, trace.drive.times), {"data": [trace.drive.volts]})}
     if trace.has_positions:
-        topics[MEASURED] = _joint_states(trace, velocities, efforts)
+        topics[MEASURED] = _joint_states(trace)
     beside = _current_beside(trace)
     if trace.coil_voltage is not None:
         voltage = trace.coil_voltage
@@ -291,16 +278,14 @@ def _nanoseconds(trace: Trace, times: NDArray[np.float64]) -> NDArray[np.int64]:
     return trace.epoch_ns + np.rint(np.asarray(times) * SECOND).astype(np.int64)
 
 
-def _joint_states(
-    trace: Trace, velocities: NDArray[np.float64] | None, efforts: NDArray[np.float64] | None
-) -> _Messages:
+def _joint_states(trace: Trace) -> _Messages:
     """Return JointStates with all arrays filled: rclpy adds rubbish to those whose last arrays are empty."""
     unknown = np.broadcast_to(np.nan, (len(trace.times), 2))
     main = trace.main_position if trace.main_position is not None else unknown[:, 0]
     columns = {
         "position": [trace.pilot_position, main],
-        "velocity": [unknown if velocities is None else velocities],
-        "effort": [unknown if efforts is None else efforts],
+        "velocity": [unknown],
+        "effort": [unknown],
     }
     return _Messages(JOINT_STATE, _nanoseconds(trace, trace.times), columns)
 

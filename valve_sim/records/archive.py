@@ -95,7 +95,7 @@ class Archive:
                 self._base.execute(statement, list(entries.values()))
 
     def valves(self) -> list[str]:
-        """Full names of all valves of which there is something."""
+        """Full names of all valves that have an entry."""
         return sorted({valve for kind in COLUMNS for valve in self._valves(kind)})
 
     def read(
@@ -129,7 +129,7 @@ class Archive:
     def prune(self, years: float, most_bytes: int) -> list[str]:
         """Delete the oldest months beyond so many years and so many bytes; which, such as 2016-11.
 
-        Months are counted, and no clock is asked: one that is wrong by decades would delete all of them.
+        Counts months and asks no clock, because a clock that is wrong by decades would delete all of them.
         """
         months = self._months()
         kept = 1 + math.ceil(12.0 * years)  # that of today has just begun

@@ -113,7 +113,7 @@ def load_alarms(path: Path) -> dict[str, Alarm]:
     """
     if not path.exists():
         return {}
-    mend = "restore it from a backup, or delete it: alarms that are active are then raised anew"
+    mend = "restore it from a backup, or delete it: active alarms are then raised again"
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         if content["schema"] != _SCHEMA:

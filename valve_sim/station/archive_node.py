@@ -66,7 +66,7 @@ class Keeper:
             self._alarm(report, values["Answer.Level"], ANSWER, values["Answer.Message"], told)
 
     def note_service(self, valve: str, at: datetime) -> str:
-        """Keep that a valve was serviced, and count its strokes anew; what is kept, in words."""
+        """Record a service of a valve and count its strokes from 0 again; the record in words."""
         words = f"serviced after {self.strokes_since_service(valve)} strokes"
         self._alarm(Report(valve, at, {}), 0, SERVICE, words)
         self._since_service[valve] = 0
@@ -114,7 +114,7 @@ class ArchiveNode(RosNode[ArchiveSettings]):
         folder, valves = Path(self._settings.folder).expanduser(), self._full_names("valves")
         self._archive, self._prune_at = Archive(folder, is_written=True), time.monotonic()
         self._keeper = Keeper(self._archive)
-        for valve in valves:  # a damaged archive is said at the start
+        for valve in valves:  # so that a damaged archive is reported at the start
             self._keeper.strokes_since_service(valve)
         alarms, monitors = full_name(self._node, self._settings.alarms, "alarms"), self._full_names("monitors")
         self._ear = StationEar(
@@ -123,7 +123,7 @@ class ArchiveNode(RosNode[ArchiveSettings]):
         for valve in valves:
             self._interface.serve("{valve}/serviced", partial(self._note_service, valve), valve=valve)
         every(self._node, _PERIOD, self._look)
-        self._node.get_logger().info(f"ready: keeps what is said of {len(valves)} valves in {folder}")
+        self._node.get_logger().info(f"ready: records strokes, findings and alarms of {len(valves)} valves in {folder}")
 
     def close(self, timeout: float) -> bool:
         """Write what waits, and release everything."""

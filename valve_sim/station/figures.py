@@ -1,6 +1,6 @@
 """The one table of what an OPC UA client sees of a valve, and how it follows from what monitors and valves say.
 
-Knows neither OPC UA nor ROS: reports are the keys and values of a monitor's topics, values are plain Python.
+Independent of OPC UA and ROS: reports are the keys and values of a monitor's topics, values are plain Python.
 """
 
 from __future__ import annotations
@@ -121,7 +121,7 @@ _MOST_SCORES: Final = 3
 
 
 class Report(NamedTuple):
-    """What was said of a valve: full name of its node, time in UTC, and values by path."""
+    """A message about a valve: full name of its node, time in UTC, and values by path."""
 
     valve: str
     time: datetime

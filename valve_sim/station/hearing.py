@@ -23,7 +23,7 @@ _LONGEST: Final = 2000
 
 
 class StationEar:
-    """What is said of the valves of a station, heard when its node looks, a few times a second.
+    """Receives the messages about a station's valves when its node looks, a few times a second.
 
     Args:
         valves, monitors: full names of their nodes, in one order.

@@ -6,9 +6,12 @@ import asyncio
 import concurrent.futures
 import threading
 from collections.abc import Coroutine
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 from valve_sim.nodes.threads import Fail
+
+_FAREWELL: Final = 1.5
+"""s that what is served may take to say goodbye to its clients."""
 
 
 class Served(Protocol):
@@ -53,11 +56,11 @@ class LoopThread:
         return asyncio.run_coroutine_threadsafe(work, self._loop)
 
     def stop(self, timeout: float) -> bool:
-        """End it; whether it has ended within a time in s."""
+        """End it; whether it has ended within a time in s, or soon after its clients were told."""
         if not self._thread.is_alive():
             return True
         try:
-            self._run(self._served.stop()).result(timeout)
+            self._run(self._served.stop()).result(max(timeout, _FAREWELL))
         except concurrent.futures.TimeoutError:
             return False
         self._loop.call_soon_threadsafe(self._loop.stop)

@@ -19,7 +19,7 @@ _STATUS_COUNT: Final = 8
 
 
 class PlcClient:
-    """Polls a PLC that is the server: reads its commands, writes the status, and begins anew where it does not answer.
+    """Polls a PLC that is the server: reads its commands, writes the status, and connects again if it does not answer.
 
     The PLC has the map's registers from an address of its own on.
 

@@ -73,7 +73,7 @@ def ensure_identity(folder: Path, application_uri: str) -> tuple[Path, Path]:
 
 
 def _check(path: Path, key_path: Path) -> None:
-    mend = f"delete {path} and {key_path} to have new ones made, and have clients trust them anew"
+    mend = f"delete {path} and {key_path}, start the node again, and have clients trust the new certificate"
     try:
         certificate = x509.load_der_x509_certificate(path.read_bytes())
         key_path.read_bytes()
@@ -138,7 +138,7 @@ class Gate(UserManager):
     def get_user(
         self, iserver: Any, username: str | None = None, password: str | None = None, certificate: Any = None
     ) -> User | None:
-        """The role of a client; None for one that may not connect.
+        """The role of a client; None refuses it.
 
         The certificate is that of the encrypted channel. A client can leave it out of its request for a session, and
         `validate` is then not called: such a client is refused once the folder has changed.

@@ -56,7 +56,7 @@ class ServedValve(NamedTuple):
 
 
 class StationServer:
-    """The server; every method is to be called in the event loop that started it.
+    """The server. Call every method in the event loop that started it.
 
     Args:
         settings: how it is reached, and what it keeps. valves: that are served.
@@ -138,7 +138,7 @@ class StationServer:
             await self._server.stop()
 
     async def put(self, report: Report) -> None:
-        """Show what was said of a valve, with the time of which it was said.
+        """Show a report on a valve, with the time to which it belongs.
 
         A value is in the history before a client sees it. A report on a valve that is not served changes nothing.
 

@@ -1,6 +1,6 @@
 """Valves as registers of a PLC, and the watchdog that de-energises a coil when the PLC falls silent.
 
-Knows neither Modbus nor ROS nor a clock: every call is told what time it is, in s of one clock that does not go back.
+Independent of Modbus, ROS and clocks: each call gives the time, in s of one clock that never goes back.
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ class Coil:
         return now - self._beat_at <= self._watchdog
 
     def is_on(self, now: float) -> bool:
-        """Whether the coil is to be energised."""
+        """Whether to energise the coil."""
         if not self.is_alive(now):
             if self.is_armed and self.command:
                 self.trips += 1
@@ -166,7 +166,7 @@ class PlcStation:
             self._heard[valve] = self._heard[valve]._replace(at=now, **values)
 
     def is_on(self, valve: int, now: float) -> bool:
-        """Whether a valve's coil is to be energised."""
+        """Whether to energise a valve's coil."""
         with self._lock:
             return self._coils[valve].is_on(now)
 
@@ -189,7 +189,7 @@ class PlcStation:
         """Take registers that a PLC wrote, all or none.
 
         Raises:
-            UnknownRegisterError: a register is not one that a PLC writes. RefusedError: a value is not one of its own.
+            UnknownRegisterError: a PLC does not write such a register. RefusedError: a register cannot hold the value.
         """
         written: dict[int, dict[int, int]] = {}
         for place, value in enumerate(values, start=address):

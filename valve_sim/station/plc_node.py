@@ -7,6 +7,7 @@ use_sim_time: a /clock that stands still must not keep a coil energised.
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Sequence
 from functools import partial
@@ -20,8 +21,9 @@ from valve_sim.files.parameter_sections import Section
 from valve_sim.files.whole_files import write_whole
 from valve_sim.nodes.realtime import Arrival
 from valve_sim.nodes.receiving import Inbox
+from valve_sim.nodes.spinning import wait_until_heard
 from valve_sim.nodes.starting import Extra
-from valve_sim.nodes.wiring import CommandingNode
+from valve_sim.nodes.wiring import RosNode
 from valve_sim.station.hearing import hear_live
 from valve_sim.station.loop_thread import LoopThread, Served
 from valve_sim.station.modbus import PlcServer
@@ -36,7 +38,7 @@ _BETWEEN_SIGNS: Final = 0.2
 """s between looks at the currents of the valves, which only tell that they live."""
 
 
-class PlcNode(CommandingNode[PlcSettings]):
+class PlcNode(RosNode[PlcSettings]):
     """The node `plc`, with the topics `tables.PLC_TOPICS` of each of `valves`.
 
     Parameters: `tables.PlcSettings`; they are read once, at the start.
@@ -52,6 +54,11 @@ class PlcNode(CommandingNode[PlcSettings]):
         self._inbox, self._signs = (Inbox(self._node, self._clock) for _ in range(2))
         self._was_on = [False] * len(self._valves)
         self._commands: list[Publisher] = []
+        self._voltages: list[Publisher] = []
+        """Those of `_commands` that have published."""
+        self._commanding = threading.Lock()
+        self._is_off = False
+        """Whether 0 V has been commanded for good; whoever is still at work then commands nothing."""
         self._others: set[str] = set()
         self._station = PlcStation(
             self._valves, settings.watchdog, changed=self._command, low_word_first=settings.low_word_first
@@ -88,6 +95,16 @@ class PlcNode(CommandingNode[PlcSettings]):
             for valve in range(len(self._valves)):
                 self._command(valve, is_due=is_due)
             due = max(due + period, time.monotonic())
+
+    def _finish(self) -> None:
+        """Command 0 V to every coil for good, and wait until that is heard."""
+        with self._commanding:
+            self._is_off = True
+            if not self._node.context.ok():
+                return
+            for voltage in self._voltages:
+                voltage.publish(Float64(data=0.0))
+        wait_until_heard(self._voltages)
 
     # --- wiring ---
 

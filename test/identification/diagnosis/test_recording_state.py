@@ -165,4 +165,4 @@ def test_no_state_is_told_beside_a_model_that_lacks_something() -> None:
     state = state_of_recording(trace, DECLARED)
     assert not state.errors
     _, second, *_ = recording_document(state).to_text().splitlines()
-    assert "cannot be told from what the declared model lacks" in second
+    assert "that cannot be told from errors of the recording" in second

@@ -96,13 +96,13 @@ def test_a_file_that_cannot_be_used_is_refused_in_one_line(monitor: Monitor, tmp
     assert words.startswith(f"{path}: ")
     assert "\n" not in words
     says = {
-        "earlier": "delete this one to commission anew",
+        "earlier": "delete this one to commission again",
         "schema": "commissioning/9",
         "valve": "valve.pilot_gap",
         "list": "schema None",
     }
     assert says.get(damage, "damaged") in words
-    assert "delete this one to commission anew" in words
+    assert "delete this one to commission again" in words
 
 
 def test_what_is_asked_to_commission_anew_forgets(monitor: Monitor) -> None:

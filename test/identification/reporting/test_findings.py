@@ -39,7 +39,7 @@ SENTENCES: list[tuple[Finding | StaticFinding, list[str]]] = [
     (Correlated("seat_load", "pilot_damping", 0.99512), ["seat_load and pilot_damping", "correlation 0.9951"]),
     (StampErrors(51.2e-6), ["up to 51.2 µs"]),
     (LacksSomething(0.987), ["lacks something", "99 %", "`diagnose`"]),
-    (ExplainedByErrors(), ["beside these errors of the recording", "`diagnose`"]),
+    (ExplainedByErrors(), ["with these errors of the recording", "`diagnose`"]),
     (NotConverged(), ["did not converge"]),
     (BeginsLate(2e-4), ["begins at 200 µm"]),
     (EndsEarly(1e-3, 1.23e-3), ["ends at 1000 µm of 1230 µm"]),

@@ -13,7 +13,7 @@ from identification.recordings import friction_found, recorded
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
 from valve_sim.identification.fit.declared_values import DeclaredValue, out_of_tolerance
-from valve_sim.identification.fit.intervals import Interval
+from valve_sim.identification.fit.intervals import Interval, Unbounded
 from valve_sim.identification.plants.effect_titles import title_of
 from valve_sim.identification.reporting.claims import (
     certainty,
@@ -26,8 +26,8 @@ from valve_sim.identification.reporting.claims import (
 )
 from valve_sim.identification.reporting.diagnosis_document import diagnosis_document
 from valve_sim.identification.reporting.document import Words
-from valve_sim.identification.reporting.units import amount, gain_words, limits, measured, percent, quantity
-from valve_sim.identification.reporting.values import amount_words, declared_section, summary_words
+from valve_sim.identification.reporting.units import amount, gain_words, limits, measured, percent, quantity, signed
+from valve_sim.identification.reporting.values import amount_words, declared_section, remark_on, summary_words
 from valve_sim.model import CATALOGUE
 from valve_sim.model.effects.entry import Severity
 
@@ -159,7 +159,7 @@ def test_a_deviation_inside_its_own_error_is_none() -> None:
     tight = loose._replace(stderr=20.0, spread=0.5)
     assert out_of_tolerance([loose]) == [] and out_of_tolerance([tight]) == ["spring_rate"]
     assert "tolerances" not in amount_words(loose)
-    assert amount_words(loose).startswith("1264 ± 666 N/m, which does not differ from the declared 2000")
+    assert amount_words(loose).startswith("1264 ± 666 N/m, which agrees with the declared 2000")
     assert amount_words(tight) == "1264 ± 20 N/m, not 2000: 18.4 tolerances"
     assert amount_words(loose) in summary_words([loose])
     assert not any(block.style == "doubt" for block in declared_section([loose]).blocks if isinstance(block, Words))
@@ -228,3 +228,19 @@ def test_a_correction_says_what_it_leaves_and_what_confirms_it(diagnosis: Diagno
     left = math.sqrt(max(found.after**2 - found.noise**2, 0.0))
     assert told["remains"]["rms_um"] == pytest.approx(1e6 * left)
     assert told["remains"]["channel"] == "position"
+
+
+@pytest.mark.parametrize(("value", "words"), [(1.25, "+1.250"), (-0.428, "−0.428"), (-0.0004, "0.000"), (0.0, "0.000")])
+def test_a_minus_is_always_the_same_sign_and_nothing_has_none(value: float, words: str) -> None:
+    assert signed(value, 3) == words
+
+
+@pytest.mark.parametrize("found", [Interval(0.77919, 0.00081, 0.7626, 0.7872), Interval(4.147, 0.089, 3.678, 4.6)])
+def test_an_interval_that_its_standard_error_does_not_explain_is_explained(found: Interval) -> None:
+    assert "one standard error" in remark_on(found)
+    assert "use the interval" in remark_on(found)
+
+
+def test_an_interval_as_its_standard_error_says_needs_no_words() -> None:
+    assert remark_on(Interval(1.0, 0.1, 0.81, 1.2)) == ""
+    assert "flat" in remark_on(Interval(1.0, 0.1, 0.0, 9.0, Unbounded.FLAT_PROFILE))

@@ -39,7 +39,7 @@ from valve_sim.identification.fit.posterior import (
 from valve_sim.identification.fit.problem import Mask, Problem, shows_rest
 from valve_sim.identification.fit.residual_tests import adequacy
 from valve_sim.identification.fit.result import Fit, fit, rmse
-from valve_sim.identification.fit.search import PROMISING, Progress, Search, words
+from valve_sim.identification.fit.search import DOUBTFUL, Progress, Search, words
 from valve_sim.identification.fit.starts import all_near_off
 from valve_sim.identification.fit.unknown import unknowns_of
 from valve_sim.identification.plants.hold_out import held_out_strokes
@@ -207,7 +207,7 @@ class DiagnosisSession:
         self._run(is_full=False)
         decision = self._decided().decision
         result = self._fit_of(decision)
-        exact = covariance_interval if decision.unnamed > PROMISING else _profile
+        exact = covariance_interval if decision.unnamed > DOUBTFUL else _profile
         return VerdictWithIntervals(
             self._posterior_verdict(decision), {name: exact(result, name) for name in result.free}
         )

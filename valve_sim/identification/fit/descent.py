@@ -27,7 +27,7 @@ pressure as a smaller orifice or a larger volume would."""
 PRUNED: Final = 10.0
 """Times the last decrease, or the next that is promised, beyond which a goal is out of reach: each decrease is smaller
 than the one before, and where by a tenth of it, all that are left come to ten."""
-FEWEST: Final = 3
+FEWEST: Final = 2
 """Linearisations before it is asked whether a goal can still be reached."""
 MOST: Final = 40
 FIRST_DAMPING: Final = 1e-3

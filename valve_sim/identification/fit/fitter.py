@@ -14,7 +14,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -88,6 +88,13 @@ class Tried:
         return Evidence(self.plain, self.spread.log_evidence, self.is_fitted)
 
 
+class Errors(NamedTuple):
+    """What is taken for errors of the recordings: their columns, with the effects that change, and sizes of groups."""
+
+    columns: Columns
+    sizes: Mapping[str, float]
+
+
 class Fitter:
     """Fits sets of hypotheses, with the errors of the recordings as large as they are.
 
@@ -98,7 +105,6 @@ class Fitter:
 
     Attributes:
         problem: with the errors of its recordings as columns. sizes: of the groups of errors, by name.
-        changing: effects that differ from stroke to stroke.
         hypotheses, curves: by name. base: the declared model, when it has been fitted.
     """
 
@@ -111,7 +117,7 @@ class Fitter:
         self._held, self._reads = dict(held or {}), reads_at_rest
         self.hypotheses: dict[str, Hypothesis] = dict(self.unknowns.hypotheses)
         self.curves = {own.name: own for own in (curve(one, _force_of(problem), SPLINES) for one in plant.force_maps)}
-        self.problem, self.changing = problem, tuple[str, ...]()
+        self.problem = problem
         self.use(self.columns_with({}, {}))
         self.sizes = {name: self._usual(group) for name, group in self.groups.items()}
         self.base: Tried | None = None
@@ -274,33 +280,32 @@ class Fitter:
         """
         fit = self._plain_fit()
         first = self.weighed((), fit)
-        usual, columns = dict(self.sizes), self.problem.columns
+        usual = self.errors
         begun = self.descended(self.model(()), first.values, most=LOOKS) or fit
         is_hopeless = self._leaves_much(begun)
         if is_hopeless:
-            self.sizes = {**usual, **dict.fromkeys(self._local_groups, 0.0)}
+            self.sizes.update(dict.fromkeys(self._local_groups, 0.0))
             stamped = self._with_stamps(first)
             if self.rivals.unnamed_beside((), stamped.evidence) < EVEN:  # stamps alone explain all
                 self.base = stamped
                 return stamped
-            self.sizes = dict(usual)
-        if is_hopeless and columns.unknowns:
+            self.take(usual)
+        if is_hopeless and usual.columns.unknowns:
             # A gain and a curve are of the motion as it is, which may be far from the declared one.
-            self.use(self.columns_with(first.values, columns.modes))
+            self.use(self.columns_with(first.values, usual.columns.modes))
             begun = self.descended(self.model(()), first.values, most=LOOKS) or begun
             is_hopeless = self._leaves_much(begun)
-        if is_hopeless and columns.unknowns:  # modes imitate what is missing, unless they explain all of it
+        if is_hopeless and usual.columns.unknowns:  # modes imitate what is missing, unless they explain all of it
             begun = self.with_modes((), begun)
             is_hopeless = self._leaves_much(begun)
-            if is_hopeless and self.problem.columns is not columns:
-                self.use(columns)
-                self.sizes = dict(usual)
+            if is_hopeless and self.problem.columns is not usual.columns:
+                self.take(usual)
         found = first
         if not is_hopeless:
             found = self.weighed((), self.learn((), begun))
         if is_hopeless or self.rivals.unnamed_beside((), found.evidence) > EVEN:
-            self.use(columns)
-            self.sizes = {**usual, **dict.fromkeys(self._local_groups, 0.0)}
+            self.take(usual)
+            self.sizes.update(dict.fromkeys(self._local_groups, 0.0))
             found = self._with_stamps(first)
         self.base = found
         return found
@@ -393,6 +398,17 @@ class Fitter:
         """Fit with other errors of the recordings from now on."""
         self.problem = self.problem.with_columns(columns)
 
+    @property
+    def errors(self) -> Errors:
+        """The errors of the recordings as they are now."""
+        return Errors(self.problem.columns, dict(self.sizes))
+
+    def take(self, errors: Errors) -> None:
+        """Fit with these errors, columns and sizes, from now on."""
+        if errors.columns is not self.problem.columns:
+            self.use(errors.columns)
+        self.sizes = dict(errors.sizes)
+
     def with_modes(self, names: Set, fit: Descended) -> Descended:
         """A fit of a set again with the modes in which the mounts of its sensors ring, where they are worth it."""
         found = fit
@@ -401,12 +417,11 @@ class Fitter:
             if modes == dict(self.problem.columns.modes):
                 break
             values = found.gaussian.model.named(found.gaussian.z)
-            before, sizes = self.problem.columns, dict(self.sizes)
+            before = self.errors
             self.use(self.columns_with(values, modes))
             again = self.descended(self.model(names), values)
             if again is None or not self._is_worth(again, found):
-                self.use(before)
-                self.sizes = sizes
+                self.take(before)
                 break
             suited = again.gaussian.with_best_sizes(self.learned)
             self.sizes.update({name: suited.sizes[name] for name in self.learned if name in suited.sizes})
@@ -417,14 +432,15 @@ class Fitter:
         """The errors of the recordings beside a machine of these values, with modes of its mounts."""
         if self.problem.is_long:
             return Columns()
-        return columns_of(self.problem.plant, values, modes, self.changing).held_at(self._held)
+        return columns_of(self.problem.plant, values, modes, self.problem.columns.changing).held_at(self._held)
 
     def with_change(self, names: Set, fit: Descended, effect: str) -> Descended | None:
         """A fit of a set again, an effect of it differing from stroke to stroke; None where that cannot be."""
         strokes = {own.during for own in changes_of(self.problem.plant, (effect,))}
-        if len(strokes) < FEWEST or effect in self.changing:
+        columns = self.problem.columns
+        if len(strokes) < FEWEST or effect in columns.changing:
             return None
-        self.changing += (effect,)
+        self.use(replace(columns, changing=(*columns.changing, effect)))
         return self.learn(names, fit)
 
     def is_orderly(self, tried: Tried) -> bool:
@@ -466,12 +482,17 @@ class Fitter:
         fastest = max((one.high for one in self.problem.plant.force_maps if one.variable == "v"), default=1.0)
         return _force_of(self.problem) / (fastest if own.least == 0.0 else 1.0)
 
-    def fit_curve(self, name: str, names: Set, values: Mapping[str, float]) -> Descended | None:
-        """A smooth curve beside a set, as stiff as its own evidence says; None where it cannot be simulated."""
+    def fit_curve(self, name: str, names: Set, values: Mapping[str, float], goal: float = math.inf) -> Descended | None:
+        """A smooth curve beside a set, as stiff as its own evidence says.
+
+        None where it cannot be simulated, or comes nowhere near a goal for the criterion.
+        """
         own = {one.group.name: one.group for one in self.curves[name].frees if one.group}
         self.sizes.update({key: group.scale for key, group in own.items()})
         whole = tuple(sorted((*names, name)))
-        fit = self.descended(self.model(whole), values, most=25)
+        fit = self.descended(self.model(whole), values, most=25, goal=goal)
+        if fit is not None and not fit.converged and fit.least > goal:
+            return None
         for _ in range(ROUNDS):
             if fit is None:
                 return None

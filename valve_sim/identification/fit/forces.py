@@ -12,6 +12,7 @@ in the eigenvectors of what the data say of them and the fit cannot follow; summ
 
 from __future__ import annotations
 
+import contextlib
 import math
 from typing import Final
 
@@ -46,16 +47,31 @@ ROUNDING: Final = 1e-9
 """Of the largest square of the columns: what is left of less, after all that the fit can follow, is rounding."""
 
 
-def log_evidence_beside(fitter: Fitter, tried: Tried) -> float:
+Forces = list[tuple[Array, list[Array]]]
+"""By kind: (r, q) change of the residuals by each B-spline at the largest size, and (q, q) covariances by length."""
+
+
+def forces_beside(fitter: Fitter, tried: Tried) -> Forces:
+    """Every kind of force that the plant knows, beside a fit; of a long recording none is looked for.
+
+    Sets that leave as little move alike, so that one of them stands for all.
+    """
+    found = []
+    for own in () if fitter.problem.is_long else fitter.problem.plant.force_maps:
+        with contextlib.suppress(SimulationError):
+            found.append(_columns(fitter, tried, own))
+    return found
+
+
+def log_evidence_beside(fitter: Fitter, tried: Tried, forces: Forces) -> float:
     """Ln p(data | set, something unnamed that is a force), every kind of it equally probable; −∞ where none is known.
 
     Args:
         fitter: of the problem. tried: the set, fitted so well that what is left changes it little.
+        forces: beside a set that is as near.
     """
-    if not fitter.curves or fitter.problem.is_long:
-        return -math.inf
-    logs = [_log_evidence(fitter, tried, own) for own in fitter.problem.plant.force_maps]
-    return float(logsumexp(logs)) - math.log(len(logs))
+    logs = [_log_evidence(fitter, tried, *own) for own in forces]
+    return float(logsumexp(logs)) - math.log(len(fitter.problem.plant.force_maps)) if logs else -math.inf
 
 
 def is_near(tried: Tried) -> bool:
@@ -63,19 +79,18 @@ def is_near(tried: Tried) -> bool:
     return tried.spread.tau <= LINEAR
 
 
-def _log_evidence(fitter: Fitter, tried: Tried, own: ForceMap) -> float:
+def _log_evidence(fitter: Fitter, tried: Tried, columns: Array, covariances: list[Array]) -> float:
     """Ln p with one kind of force, whose place the errors of the recordings may take, and it theirs."""
     suited = tried.fit.gaussian.with_best_sizes(fitter.learned)
     none = {name: float(group.grid[0]) for name, (group, _) in suited.groups.items() if name in set(fitter.learned)}
     try:
-        columns, covariances = _columns(fitter, tried, own)
         found = [
             one.log_evidence + gain(one, columns, covariances)
             for one in (suited, *([suited.resized(none)] if none else []))
         ]
         # That sizes of errors are estimated lowers ln p by as much beside a force as without one.
         return max(found) + suited.log_integral(fitter.learned)
-    except (SimulationError, np.linalg.LinAlgError):
+    except np.linalg.LinAlgError:
         return -math.inf
 
 

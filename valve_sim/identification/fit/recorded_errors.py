@@ -247,9 +247,10 @@ def _in_words(name: str, change: Change) -> str:
     share = f"by {100.0 * abs(change.last - change.first) / max(begins, NOTHING):.0f} %"
     if change.kind == "line":
         return f"{_what(name)} {way} over the strokes {share if begins > NOTHING else 'from nothing'}"
-    if begins <= NOTHING:
-        return f"{_what(name)} begins with stroke {change.stroke + 1}"
-    return f"{_what(name)} {way} {share} with stroke {change.stroke + 1}"
+    if change.kind == "some":
+        return f"{_what(name)} acts in strokes {', '.join(str(own + 1) for own in change.strokes)} alone"
+    with_stroke = f"with stroke {change.strokes[0] + 1}"
+    return f"{_what(name)} begins {with_stroke}" if begins <= NOTHING else f"{_what(name)} {way} {share} {with_stroke}"
 
 
 def _what(number: str) -> str:

@@ -39,7 +39,13 @@ from valve_sim.identification.plants.effect_titles import titles_of
 LARGEST_SET: Final = 4
 """Names in a set: larger ones decided nothing in 153 recordings."""
 PROMISING: Final = 0.02
-"""Odds to the set at hand, by the score test, from which an addition is fitted."""
+"""Odds to the declared model, by the score test, from which an effect is fitted."""
+FURTHER: Final = 0.2
+"""The same beside names, which determine what is left: there the score test of so little is as good as a fit."""
+IN_PLACE: Final = 0.25
+"""Share of what a member gains in ln p, by which another name in its place must gain by the score test to be fitted."""
+DOUBTFUL: Final = 0.02
+"""Probability of something unnamed, from which it is weighed in all that follows."""
 NEAR: Final = 25.0
 """Difference in ln p by which a set may lag behind the best of its size before it is given up."""
 REFITTED: Final = 10.0
@@ -163,12 +169,12 @@ class Search:
                 base = self.best(size)
                 goes_on = base is not None and not self._is_led_by_curve(base) and self._extend(base, is_full=is_full)
                 self._learn_errors()
-                if size == 0 and base is not None and self.unnamed_beside(self.best(1) or base) > PROMISING:
+                if size == 0 and base is not None and self.unnamed_beside(self.best(1) or base) > DOUBTFUL:
                     self._change_over_strokes()
                 self._beside_look_alikes(max(self.tried, key=self.log_weight))
                 if not goes_on:
                     break
-            if self.posterior().unnamed > PROMISING:
+            if self.posterior().unnamed > DOUBTFUL:
                 least = max(map(self.log_weight, self.tried)) - REFITTED
                 for names in [names for names in self.tried if self.log_weight(names) > least]:
                     self._say(words(names), self._done)
@@ -182,26 +188,28 @@ class Search:
         if not self.fitter.curves:
             return
         leading = sorted(self.tried, key=self.log_weight)[-FORCED:]
-        for names in leading:
+        near = [names for names in reversed(leading) if forces.is_near(self.tried[names])]
+        beside = forces.forces_beside(self.fitter, self.tried[near[0]]) if near else []
+        for names in near:
             self._say(f"{words(names)}, and a force without a name", self._done)
-            if forces.is_near(self.tried[names]):
-                self.forced[names] = forces.log_evidence_beside(self.fitter, self.tried[names])
-        if leading[-1] and self.curves:
+            self.forced[names] = forces.log_evidence_beside(self.fitter, self.tried[names], beside)
+        if leading[-1]:
             # Far from the data a curve has to be fitted.
-            logs = [one.plain for one in self.curves.values()]
-            alone = float(np.logaddexp.reduce(logs)) - math.log(len(self.fitter.curves))
+            goal = self.tried[near[0]].fit.cost + 2.0 * NEAR if near else math.inf
+            logs = [one.plain for one in (self.fitted_curves(goal) if near else self.curves).values()]
+            alone = float(np.logaddexp.reduce(logs)) - math.log(len(self.fitter.curves)) if logs else -math.inf
             self.forced[()] = max(alone, self.forced.get((), -math.inf))
 
     def _extend(self, base: Set, *, is_full: bool) -> bool:
         """Add names to a set; whether to go on from there."""
         is_all = self.unnamed_beside(base) < EVEN
         gains = self.gains(base)
-        least = -math.inf if is_full and not base else math.log(PROMISING)
+        least = math.log(FURTHER if base else PROMISING) if base or not is_full else -math.inf
         promising = [
             name for name, gain in gains.items() if (not is_all or gain > least) and self._may_show(name, gain)
         ]
-        if not base and is_all:
-            self._screen(gains, promising)
+        if is_all:
+            self._screen(base, gains, promising)
         promising.sort(key=lambda name: -gains[name])
         sets = [*(added(base, name) for name in promising), *self._beside_rivals(base)]
         if not sets:
@@ -219,10 +227,21 @@ class Search:
         if self.log_weight(best) < self.log_weight(base):
             return False
         if self.unnamed_beside(best) < EVEN and len(best) > 1:
-            names = [name for name in self.fitter.hypotheses if name not in best]
-            self._fit_all([added(without(best, member), name) for member in best for name in names])
+            self._fit_all([names for member in best for names in self._in_place_of(member, best)])
             self._beside_look_alikes(self.best(len(best)) or best)
         return True
+
+    def _in_place_of(self, member: str, best: Set) -> list[Set]:
+        """The best set with another name for one of its members, which the score test finds beside the others."""
+        rest = without(best, member)
+        if rest not in self.tried:
+            fit = self.fitter.descended(self.fitter.model(rest), self.tried[best].values)
+            if fit is None:
+                return []
+            self.begun.pop(rest, None)
+            self.tried[rest] = self.fitter.weighed(rest, fit)
+        least = IN_PLACE * (self.log_weight(best) - self.log_weight(rest)) + math.log(FURTHER)
+        return [added(rest, name) for name, gain in self.gains(rest).items() if name != member and gain > least]
 
     def _beside_look_alikes(self, best: Set) -> Set:
         """The best set of a size, when none that looks like it is better."""
@@ -265,12 +284,13 @@ class Search:
         found = log_gains(self.fitter, base, self.tried[base])
         return {name: gain + self.rivals.log_prior(added(base, name))[0] - prior for name, gain in found.items()}
 
-    def _screen(self, gains: Mapping[str, float], promising: list[str]) -> None:
-        """Note what the score test says of single effects that are not fitted."""
-        base, prior = self.tried[()], self.rivals.log_prior(())[0]
+    def _screen(self, base: Set, gains: Mapping[str, float], promising: list[str]) -> None:
+        """Note what the score test says of additions that are not fitted."""
+        known, prior = self.tried[base], self.rivals.log_prior(base)[0]
         for name in gains.keys() - set(promising):
-            gain = gains[name] + prior - self.rivals.log_prior((name,))[0]
-            self.screened[(name,)] = Evidence(base.plain + gain, base.spread.log_evidence + gain, is_fitted=False)
+            names = added(base, name)
+            gain = gains[name] + prior - self.rivals.log_prior(names)[0]
+            self.screened[names] = Evidence(known.plain + gain, known.spread.log_evidence + gain, is_fitted=False)
 
     def _fit_all(self, sets: Iterable[Set]) -> None:
         """Fit sets of one size, the promising first; those that cannot come near the best of them are given up.
@@ -281,7 +301,7 @@ class Search:
         known = {*self.tried, *self.begun, *self.impossible}
         due = [names for names in dict.fromkeys(sets) if names not in known]
         # Beside something unnamed, what does not come near may yet be near.
-        spreads = self.unnamed_beside(()) > PROMISING
+        spreads = self.unnamed_beside(()) > DOUBTFUL
         budget, starts = self.problem.budget, dict[Set, list[Start]]()
         for names in due:
             if not budget.is_used_up:
@@ -352,14 +372,13 @@ class Search:
         if not best or not self.fitter.learned:
             return
         fitter, fit = self.fitter, self.tried[best].fit
-        sizes, columns = dict(fitter.sizes), self.problem.columns
+        before = fitter.errors
         if self.unnamed_beside(best) > EVEN:
             fit = fitter.with_modes(best, fit)
         found = fitter.weighed(best, fitter.learn(best, fit))
         gain = self.log_weight_of(best, found) - self.log_weight(best)
         if gain < WORTH_LEARNING or self.rivals.unnamed_beside(best, found.evidence) > EVEN:
-            fitter.sizes = sizes
-            fitter.use(columns)
+            fitter.take(before)
             return
         least = self.log_weight(best) - NEAR - gain
         every = (*self.tried, *self.begun)
@@ -374,8 +393,7 @@ class Search:
         """Let the effect differ from stroke to stroke that then follows them, leaves nothing, and is most probable."""
         fitter, alone = self.fitter, [names for names in self.tried if len(names) == 1]
         most = max(map(self.log_weight, self.tried)) + WORTH_A_CHANGE
-        before = fitter.changing, dict(fitter.sizes), self.problem.columns
-        best = None
+        before, best = fitter.errors, None
         for names in alone:
             self._say(f"{words(names)} that changes over the strokes", self._done)
             fit = fitter.with_change(names, self.tried[names].fit, names[0])
@@ -383,13 +401,12 @@ class Search:
             if found is not None and fitter.is_orderly(found):
                 weight = self.log_weight_of(names, found)
                 if weight > most and self.rivals.unnamed_beside(names, found.evidence) < EVEN:
-                    best, most = (names, found, (fitter.changing, dict(fitter.sizes), self.problem.columns)), weight
-            fitter.changing, fitter.sizes = before[0], dict(before[1])
-            fitter.use(before[2])
+                    best, most = (names, found, fitter.errors), weight
+            fitter.take(before)
         if best is not None:
-            self.tried[best[0]] = best[1]
-            fitter.changing, fitter.sizes = best[2][:2]
-            fitter.use(best[2][2])
+            names, found, errors = best
+            self.tried[names] = found
+            fitter.take(errors)
 
     # -- smooth curves -------------------------------------------------------------------------------------------------
 
@@ -402,16 +419,17 @@ class Search:
 
     @cached_property
     def curves(self) -> dict[str, Tried]:
-        """Smooth curves beside the declared model that stand for something unnamed, by name.
+        """Smooth curves beside the declared model that stand for something unnamed, by name."""
+        return self.fitted_curves()
 
-        Not over time, where a curve follows anything.
-        """
+    def fitted_curves(self, goal: float = math.inf) -> dict[str, Tried]:
+        """The same of those that come near a goal for the criterion; not over time, where a curve follows anything."""
         found = {}
         for name in self.fitter.curves:
             if name.startswith("curve(t"):
                 continue
             self._say(name, self._done)
-            fit = self.fitter.fit_curve(name, (), self.tried[()].values)
+            fit = self.fitter.fit_curve(name, (), self.tried[()].values, goal)
             if fit is not None:
                 found[name] = self.fitter.weighed((), fit)
         return found

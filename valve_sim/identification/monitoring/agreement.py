@@ -1,4 +1,4 @@
-"""What is said of a fault: nothing before two windows of strokes agree, and another thing once two later ones do."""
+"""The published finding: none before two windows of strokes agree, a new one once two later windows agree on it."""
 
 from __future__ import annotations
 

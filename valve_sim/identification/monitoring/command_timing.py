@@ -129,8 +129,8 @@ class CommandScatter:
 
     @property
     def latest(self) -> float:
-        """Seconds by which samples may come in late; more of a driver that was commissioned sending them in batches."""
-        return max(LATEST, WIDER_SCATTER * self.arrivals if self.arrivals > 0.0 else 0.0)
+        """Seconds by which samples may come in late, see `latest_of`."""
+        return latest_of(self.arrivals)
 
     def _with_mean(self, spread: float) -> float:
         """The root mean square about the commissioned time, where the scatter is plainly wider than it was."""
@@ -162,6 +162,15 @@ class CommandScatter:
         """The jitter of samples relative to commissioning; that of commands is assumed to change by the same ratio."""
         ratio = self._widest_arrival() / self.arrivals if self.arrivals > 0.0 else math.nan
         return ratio if math.isfinite(ratio) else 1.0
+
+
+def latest_of(usual: float) -> float:
+    """Seconds by which samples of a stroke may come in late.
+
+    Args:
+        usual: s by which they usually do, as where a driver sends them in batches; nan where that is not known.
+    """
+    return max(LATEST, WIDER_SCATTER * usual if usual > 0.0 else 0.0)
 
 
 def _change(stroke: StrokeTiming, last: StrokeTiming) -> float:

@@ -23,7 +23,7 @@ from valve_sim.identification.plants.valve_model import ValveModel, dampings_of
 from valve_sim.model import EXACT, ParameterError, Valve
 
 SCHEMA: Final = "valve_sim/commissioning/3"
-MEND: Final = "name another file, or, while the valve is healthy, delete this one to commission anew"
+MEND: Final = "name another file, or, while the valve is healthy, delete this one to commission again"
 
 
 def save_commissioning(path: Path, commissioning: Commissioning, declared: Valve) -> None:

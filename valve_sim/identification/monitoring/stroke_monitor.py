@@ -25,6 +25,7 @@ from valve_sim.identification.monitoring.command_timing import (
     UNINFORMATIVE,
     WIDER_SCATTER,
     CommandScatter,
+    latest_of,
     level_for,
 )
 from valve_sim.identification.monitoring.commissioning import (
@@ -174,6 +175,13 @@ class StrokeMonitor:
         """Whether commands' times scatter too much to score delays."""
         return self._scatter is not None and self._level() >= UNINFORMATIVE
 
+    @property
+    def state(self) -> StrokeState:
+        """What it does with strokes now."""
+        if self.commissioning is None:
+            return StrokeState.COMMISSIONING
+        return StrokeState.TIMING_UNCERTAIN if self.is_timing_uncertain else StrokeState.WATCHING
+
     def _level(self) -> float:
         """The standard deviation of commands' times that scores are computed with, s."""
         assert self.commissioning is not None
@@ -286,10 +294,18 @@ class StrokeMonitor:
 
         One that waits for the pressure can, once there is a baseline: how long it waits tells a clogged pilot orifice.
         """
-        if self._scatter is not None and record.arrival_spread > self._scatter.latest:
+        if record.arrival_spread > self._latest:
             return Unusable.HEARD_LATE
         is_waiting = isinstance(record.remark, WaitsForPressure) and record.trace.has_positions
         return None if is_waiting and self.commissioning is not None else record.remark
+
+    @property
+    def _latest(self) -> float:
+        """Seconds by which samples of a stroke may come in late; while commissioning, by the most timely stroke."""
+        if self._scatter is not None:
+            return self._scatter.latest
+        known = [stroke.arrival_spread for stroke in self._first if math.isfinite(stroke.arrival_spread)]
+        return latest_of(min(known)) if known else math.inf
 
     def _with_fault(self, record: StrokeRecord) -> StrokeRecord:
         """A stroke with what its current says of the valve, and whether it is by the sensor of the baseline."""

@@ -24,9 +24,9 @@ from valve_sim.model import CATALOGUE, Effect, Parameter
 COORDINATES: Final = {"attraction_polynomial": "attraction"}
 """Declared values that are estimated by coordinates, and the name of these."""
 LEAST_SHARE: Final = 0.01
-"""Share of the improvement that is no more told by a number."""
+"""Share of the improvement, below which the report gives no number."""
 VISIBLE: Final = 1e-3
-"""Relative difference of two errors that a reader sees."""
+"""Relative difference of two errors that a reader notices."""
 NO_LEADER: Final = 0.05
 """Probability below which no set of effects is called the likeliest."""
 SHOWN_UNTRIED: Final = 4
@@ -81,7 +81,7 @@ def _not_told(diagnosis: Diagnosis, nearest: str, alike: str) -> str:
     verdict = diagnosis.verdict
     if verdict.is_cut_short:
         best = f"; so far {nearest} fits best" if nearest else ""
-        return f"The budget ended before it could be told what is missing{best}."
+        return f"The budget ended before the search could find what is missing{best}."
     if verdict.strokes <= 1:
         return f"{capitalised(diagnosis.plant.advice.ambiguous)}."
     start = "These recordings cannot tell what is missing"
@@ -174,7 +174,7 @@ def unseen_noise_words(diagnosis: Diagnosis) -> str:
     mend = " If a data sheet has it, declare it (noise: of an output)." if is_plant_file else ""
     return (
         "The sensor's noise is not known, because the machine is never still for long enough. The residual of the best "
-        f"model is taken for the noise, so an effect of that size would not be seen.{mend}"
+        f"model stands for the noise, so an effect of that size cannot be found.{mend}"
     )
 
 
@@ -186,7 +186,7 @@ def choice_words(diagnosis: Diagnosis) -> str:
     kinds = f", some of each of {choice.kinds} kinds of command," if choice.kinds > 1 else ""
     return (
         f"{len(choice.chosen)} of {choice.recorded} strokes were examined{kinds} spread over the recording, because "
-        "strokes under the same commands tell the same. validate checks all strokes."
+        "strokes under the same commands show the same. validate checks all strokes."
     )
 
 

@@ -20,13 +20,13 @@ from valve_sim.identification.reporting.document import Block, Chapter, Items, T
 from valve_sim.identification.reporting.units import in_unit, quantity
 
 LISTED: Final = 12
-"""Most conditions that are told."""
+"""Most conditions in the table."""
 SEEN: Final = 1.05
-"""Factor between errors, below which nothing is said of it: another set that was fitted predicts as well."""
+"""Another set predicts as well if its error is larger by less than this factor; the report does not mention it."""
 FULL: Final = 0.9
 """Of the declared stroke: a lift that goes as far is full."""
 IN_REACH: Final = 1.2
-"""Error of the corrected model over the noise, up to which nothing is said to be left."""
+"""Error of the corrected model over the noise, up to which the report says that only noise is left."""
 
 
 def correction_section(diagnosis: Diagnosis) -> Chapter:
@@ -86,7 +86,7 @@ def _left_words(diagnosis: Diagnosis, correction: Correction) -> Iterator[str]:
     if others:
         yield f"These predict unseen strokes as well: {'; '.join(others[:3])}."
     if correction.parts:
-        beyond = "" if correction.elsewhere else " Of other commands nothing is known."
+        beyond = "" if correction.elsewhere else " Other commands were not tried."
         ends = dict.fromkeys((correction.parts[0].words, correction.parts[-1].words))
         yield f"Holds for strokes like those recorded ({' to '.join(ends)}).{beyond}"
     if correction.elsewhere:

@@ -47,8 +47,8 @@ _SMALLEST_PROBABILITY: Final = 1e-6
 """Smaller p-values are shown as below this one."""
 LEGEND: Final = (("measured", "measured"), ("before", "before"), ("after", "after"))
 BAND: Final = (
-    "Below each stroke: measured − model. The band is two standard deviations that the corrected model predicts, with "
-    "noise. Errors are over all samples; plots show the extremes of equal bins."
+    "Below each stroke: measured − model. The band is two standard deviations of what the corrected model predicts, "
+    "noise included. Errors are over all samples; plots show the extremes of equal bins."
 )
 TRIED: Final = (
     "Sets of effects that were fitted beside the declared model; click a title to sort. Probability is posterior, "
@@ -56,13 +56,13 @@ TRIED: Final = (
     "means odds of 150 to 1. Held-out strokes are predicted, not fitted."
 )
 FORCES: Final = (
-    "For each variable, the force over it that best explains the residual of the refitted declared model, the best "
-    "first. The band is two standard errors; rms is while the machine moves. The data do not determine the force in "
-    "the gaps, which the recording did not reach or where a stop takes up any force."
+    "For each variable, the force that explains the residual of the refitted declared model best; the best variable "
+    "comes first. The band is two standard errors, and the rms counts only while the machine moves. Gaps in a curve "
+    "are values that the recording did not reach, or at which a stop takes up any force."
 )
 FOLLOWED: Final = (
     "No position was measured in these strokes. The corrected model computes it, with two standard errors of the "
-    "estimated parameters as the band. It is as right as that model is."
+    "estimated parameters as the band. It is only as correct as that model."
 )
 OUTDONE: Final = "No force over position, velocity or time alone explains the data nearly as well as the named effects."
 
@@ -70,7 +70,7 @@ OUTDONE: Final = "No force over position, velocity or time alone explains the da
 def diagnosis_document(
     diagnosis: Diagnosis, folder: Path | None = None, options: str = "", provenance: str = ""
 ) -> doc.Document:
-    """All that is said of a diagnosis.
+    """The whole report of a diagnosis.
 
     Errors are in `unit`, the one in which people read the response: µm of a position, mA of a current, N of a force. Of
     a position they also stand under the names `noise_um` and `rmse_um`, of a current under `noise_ma` and `rmse_ma`.
@@ -188,7 +188,7 @@ def _record_next(diagnosis: Diagnosis, folder: Path | None, options: str) -> doc
             for pair, apart in best.together
         ]
         if advice:
-            expected = "By how much this recording is expected to separate them, all else refitted:"
+            expected = "Expected separation by this recording, all else refitted:"
             blocks += [doc.Words(expected, on="page"), doc.Items(pairs, on="page")]
     if advice and isinstance(diagnosis.plant, ValvePlant):
         drive = profile_of(diagnosis)
@@ -221,7 +221,7 @@ def _before_and_after(diagnosis: Diagnosis) -> doc.Chapter:
     models = ("declared model, refitted", "corrected model")[: len(states)]
     rows = [doc.TableRow((label, *cells, "")) for label, cells in lines.items()]
     table = doc.Table(("", *models, "95 % interval"), [*rows, *values.value_rows(diagnosis)], is_by_name=True)
-    doubt = "These are values of the declared model by itself, which what is missing distorts."
+    doubt = "These are values of the declared model. What it lacks distorts them."
     distorted = [doc.Words(doubt, style="doubt")] if verdict.kind == "unknown" else []
     corrected = {**_state_json(after, scale, unit), "effects": _effects_json(diagnosis)}
     return doc.Chapter(
@@ -238,8 +238,8 @@ def _nearest(diagnosis: Diagnosis) -> Iterator[doc.Block]:
     if verdict.kind != "unknown" or not verdict.effects or nearest is None:
         return
     held_out = "" if math.isnan(nearest.holdout_rmse) else f", {quantity(nearest.holdout_rmse, unit)} held out"
-    error = f"rms error {quantity(nearest.train_rmse, unit)} fitted{held_out}"
-    yield doc.Words(f"With {named(verdict.effects)}, which is not claimed, {error}:")
+    error = f"the rms error is {quantity(nearest.train_rmse, unit)} fitted{held_out}"
+    yield doc.Words(f"Nearest, but not claimed: with {named(verdict.effects)} {error}.")
     told = ((name, interval, *named_value(diagnosis.plant, name)) for name, interval in nearest.intervals.items())
     rows = [doc.TableRow((words, measured(interval, unit)), name) for name, interval, words, unit in told]
     yield doc.Table(("value", "with them"), rows, is_by_name=True)
@@ -460,7 +460,9 @@ def _made(diagnosis: Diagnosis, provenance: str) -> doc.Chapter:
     channel = _response(diagnosis)
     noise = diagnosis.before.fit.problem.noises[channel.kind]
     scale, unit = channel.readable
-    origin = "read where the machine is still" if noise.samples else "which the best model leaves: it is never still"
+    origin = (
+        "read while the machine is still" if noise.samples else "the residual of the best model, as it is never still"
+    )
     if channel.noise > 0.0:
         origin = "as declared"
     rows = [

@@ -30,7 +30,7 @@ MANY: Final = 1_000_000
 
 @dataclass(frozen=True)
 class Words:
-    """Sentences; `lead` is said first, in bold, and `style` is of the page: "", "soft" or "doubt"."""
+    """Sentences after a bold `lead`; `style` is the page's: "", "soft" or "doubt"."""
 
     text: str
     lead: str = ""

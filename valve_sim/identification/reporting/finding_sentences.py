@@ -27,10 +27,10 @@ from valve_sim.identification.fit.static_force import (
 from valve_sim.identification.reporting.units import percent
 from valve_sim.identification.reporting.values import UNBOUNDED
 
-_SEPARATING: Final = "strokes at other voltages, or a release, would separate them."
+_SEPARATING: Final = "add strokes at other voltages, or a release."
 _LACKING: Final = "so the intervals are too narrow; `diagnose` may name it."
 _BY_ERRORS: Final = (
-    "beside these errors of the recording the model explains the data down to the noise, and without them it does not. "
+    "with these errors of the recording the model explains the data down to the noise, without them it does not. "
     "It may lack an effect instead: `diagnose` compares both."
 )
 _AT_THE_SEAT: Final = "measure at x = 0, where the motion starts."
@@ -51,10 +51,10 @@ def _sentence(finding: Finding | StaticFinding) -> str:
             fits = f"{low:.3g} to {high:.3g} {unit}"
             words = f"{name} is determined only loosely by these data: anything from {fits} fits."
         case Correlated(name, other, correlation):
-            words = f"{name} and {other} can hardly be told apart (correlation {correlation:.4f}); {_SEPARATING}"
+            words = f"{name} and {other} can hardly be separated (correlation {correlation:.4f}); {_SEPARATING}"
         case StampErrors(largest):
             size = f"{1e6 * largest:.3g} µs"
-            words = f"the commands' stamps are off by up to {size}, beside the clock offset; each was estimated."
+            words = f"the commands' stamps are off by up to {size} beyond the clock offset; the fit estimated each."
         case LacksSomething(probability):
             words = f"the model lacks something (probability {percent(probability)}), {_LACKING}"
         case ExplainedByErrors():

@@ -62,7 +62,7 @@ def occasion_words(occasion: Occasion) -> str:
 
 
 def told_finding(finding: FaultFinding, occasion: Occasion) -> str:
-    """A finding as it is said on every channel: of which valve, when, what has changed, and with which probability."""
+    """A finding in the words of every channel: valve, time, change and probability."""
     return f"{occasion_words(occasion)}: {finding_words(finding)}; probability {percent(finding.verdict.probability)}"
 
 

@@ -107,7 +107,7 @@ def write_profile(
 ) -> None:
     """Write a profile, whole or not at all; the commands in its header work where this process was started.
 
-    Arguments are as of `write_record_next`; `recommendation` is what the profile tells apart.
+    Arguments are those of `write_record_next`; `recommendation` is the pulse of the profile, and what it separates.
 
     Raises:
         ValveError: it cannot be written.
@@ -133,7 +133,7 @@ def write_profile(
 
 def _gain_words(recommendation: Recommendation | None) -> list[str]:
     if recommendation is None:
-        return ["Full strokes at eight voltages. No single pulse is known to tell the candidates apart."]
+        return ["Full strokes at eight voltages. No single pulse is known to separate the candidates."]
     pulses = f"{recommendation.repeats} pulses of {recommendation.experiment.words}"
     lines = [f"{pulses}, then full strokes at eight voltages. The pulses separate:"]
     for (one, other), deviations in recommendation.together:

@@ -40,10 +40,10 @@ UNTOLD: Final = (
     "Something without a name acts. Part of it may be counted here as errors of the recording, so these sizes cannot "
     "be relied on."
 )
-"""Said of the state of the recording, where something unnamed acts."""
+"""A warning about the sizes, if something unnamed acts."""
 LEGEND: Final = (
-    "Errors of sensors, clocks and supply, which are estimated together with every hypothesis and are not effects of "
-    "the valve. Probability: that the error is present. For an improbable error the size is an upper limit."
+    "Errors of sensors, clocks and supply are no effects of the valve. They are estimated together with every "
+    "hypothesis. The probability is that the error is present; the size of an improbable error is an upper limit."
 )
 
 
@@ -52,7 +52,10 @@ def recording_document(state: RecordingState) -> Document:
     (source,) = state.identification.sources
     noise, unit = state.identification.fit.problem.noise.sigma, state.identification.primary_channel.unit
     findings = remarks(state.identification.findings)
-    why = Words("Its errors cannot be told from what the declared model lacks; valve-sim diagnose looks for that.")
+    why = Words(
+        "The declared model lacks something that cannot be told from errors of the recording; valve-sim diagnose looks "
+        "for it."
+    )
     errors = errors_table(state.errors, noise, unit) if state.errors else why
     limits: list[Block] = [_limits_table(state)] if state.limits else []
     return Document(

@@ -94,8 +94,8 @@ def declared_section(values: Sequence[DeclaredValue], *, is_valve: bool = True, 
         on="both" if is_whole else "page",
     )
     legend = (
-        "Each value that has a tolerance (one standard deviation) was estimated from data and tolerance together. Dot "
-        "and bar: how far the estimate is from what is declared, and its 95 % interval, in tolerances; the band is "
+        "Each value that has a tolerance (one standard deviation) was estimated from data and tolerance together. The "
+        "dot is the estimate less the declared value, in tolerances, and the bar its 95 % interval; the band is "
         f"± {BEYOND:g}."
     )
     blocks: list[Block] = []
@@ -128,12 +128,12 @@ def _declared_row(row: DeclaredValue, reach: float) -> TableRow:
 
 
 def amount_words(row: DeclaredValue) -> str:
-    """461.2 ± 2.4 N/m, not 428: 4.2 tolerances; or 1264 ± 666 N/m, which does not differ from the declared 2000."""
+    """461.2 ± 2.4 N/m, not 428: 4.2 tolerances; or 1264 ± 666 N/m, which agrees with the declared 2000."""
     scale, _ = readable(row.unit, row.estimate or row.stderr)
     value = f"{scale * row.value:.6g}".replace("-", "−")
     estimate = measured(Interval(row.estimate, row.stderr, row.estimate, row.estimate), row.unit)
     if not row.is_apart:
-        return f"{estimate}, which does not differ from the declared {value} by more than its own error"
+        return f"{estimate}, which agrees with the declared {value} within its own error"
     return f"{estimate}, not {value}: {abs(row.deviation):.1f} tolerances"
 
 
@@ -155,7 +155,7 @@ def summary_words(values: Sequence[DeclaredValue]) -> str:
         return capitalised("; ".join(f"the {plain_name(row.name)} is {amount_words(row)}" for row in out))
     furthest = max(values, key=lambda row: abs(row.deviation))
     if abs(furthest.deviation) < _LEAST_TOLD:
-        return f"All {len(values)} are where they are declared, within a tenth of a tolerance"
+        return f"All {len(values)} are as declared, within a tenth of a tolerance"
     return (
         f"All {len(values)} are within {BEYOND:g} tolerances of what is declared; the furthest is the "
         f"{plain_name(furthest.name)}, off by {signed(furthest.deviation, 1)}"

@@ -134,7 +134,7 @@ def run(
 
 
 def cut(b: Block, t: Block, end: float) -> None:
-    """End the step that is under way at a time, s, before a command; with gas it is made anew, to be as exact."""
+    """End the present step at a time, s, before a command; with gas the step is repeated, so that it is as exact."""
     if b[at.DENSITY] > 0.0:
         take_gas_step(b, t, end - b[at.TIME])
         finish_gas_step(b, t)

@@ -109,7 +109,7 @@ SHORTEST: Final = 1e-16
 
 
 def longest_gas_step(b: Block) -> float:
-    """How far a step may go at most, s, whatever its error."""
+    """The largest step, s, even if its error would allow more."""
     rest = LONGEST_REST
     if b[at.READS_TIME] == 0.0:
         rest = max(rest, LONGEST_REST_SHARE * (b[at.TIME] - max(b[at.CHANGED], b[at.UNSEATED_TIME])))

@@ -2,7 +2,7 @@
 
 The key of what is kept is the text itself, or what it is derived from, together with the sources of this package, the
 versions of LLVM and Python, and the processor. The folder is the user's own and not writable by others: who can write
-there could run code as this user. Where no folder can be used, the code is made anew and held in memory.
+there could run code as this user. If no folder can be used, the code is made again and kept in memory.
 """
 
 from __future__ import annotations

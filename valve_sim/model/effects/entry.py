@@ -17,7 +17,7 @@ Term = Callable[..., float]
 
 
 class Tag(enum.Enum):
-    """What kind of effect it is; whoever lists effects asks by tag. The catalogue is in this order."""
+    """Kind of an effect, by which lists of effects choose. The catalogue is in this order."""
 
     DISSIPATIVE = "dissipative"
     """Takes energy out of the motion."""
@@ -34,7 +34,7 @@ class Tag(enum.Enum):
     LIKE_DAMPING = "like damping"
     """Slows the plungers as a viscous damping does, and is easily taken for one."""
     BUILT_IN = "built in"
-    """Belongs to how a machine is built: it neither comes nor goes while the machine is in service."""
+    """Built into the machine: it cannot appear or disappear while the machine is in service."""
 
 
 class Severity(NamedTuple):
@@ -111,8 +111,8 @@ class Effect(_Words):
         confused_with: names of effects that data often cannot tell from this one, the closest first; listed beside it
             where no form is right and scores mislead. One of two says so: the catalogue adds it to the other.
         named: whether a diagnosis may claim it; False for shapes without a physical name.
-        tried: whether a diagnosis tries it where it is not declared; False for what is to be declared, because it
-            changes what all others mean.
+        tried: whether a diagnosis tries it where it is not declared; False for one that the user has to declare,
+            because it changes what all others mean.
         needs_inductance: it is tried only where the coil has a time constant, without which it has no flux.
         with_gas: whether it is of a valve with gas alone, or of one without gas alone; None: of both.
         tags: what kind of effect it is; the first is the main one.
