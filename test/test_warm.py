@@ -36,7 +36,7 @@ times = np.arange(0.0, 0.01, 1e-4)
 trace = Trace("made", Drive.of([0.0], [9.0]), times, 0.0 * times, coil_current=Signal(times, 0.0 * times))
 problem = Problem(ValvePlant([trace], drag))
 for count in (1, 4):
-    problem.rows.sensitivities({"main_damping": 4.0}, count * [Direction({"main_damping": 1.0}, 1e-6)])
+    problem.rows.linearised({"main_damping": 4.0}, count * [Direction({"main_damping": 1.0}, 1e-6)])
 problem.residuals({})
 begin(ValvePlant([read_trace(sys.argv[1])], default_valve()), None)
 stepper = Stepper(drag)

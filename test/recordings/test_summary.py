@@ -69,10 +69,11 @@ def weight(work: Callable[[Trace], None], strokes: int) -> int:
     return Weighed.elements
 
 
-def test_the_work_grows_as_the_recording_does() -> None:
+def test_the_work_grows_no_faster_than_the_recording() -> None:
+    """A sensor's step is told by some of the readings, so that this part of the work does not grow at all."""
     few, many = weight(summed_up, 4), weight(summed_up, 40)
     assert few > 4 * PERIOD * RATE
-    assert many == pytest.approx(10 * few, rel=0.1)
+    assert 7 * few < many < 10 * few
 
 
 def rate_of(times: np.ndarray) -> tuple[float, bool]:

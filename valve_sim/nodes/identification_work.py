@@ -25,7 +25,7 @@ from valve_sim.identification.diagnosis.identify import Identification, identify
 from valve_sim.identification.fit.declared_values import out_of_tolerance
 from valve_sim.identification.fit.findings import leaves_more_than_noise
 from valve_sim.identification.fit.intervals import Interval
-from valve_sim.identification.plants.valve import DAMPINGS, dampings_of
+from valve_sim.identification.plants.valve_model import DAMPINGS, dampings_of
 from valve_sim.identification.plants.valve_sensors import response_to
 from valve_sim.identification.reporting.identification_document import identification_document
 from valve_sim.identification.reporting.units import measured
@@ -41,7 +41,7 @@ from valve_sim.nodes.realtime import (
     when_due,
 )
 from valve_sim.nodes.settings import IdentificationSettings
-from valve_sim.nodes.threads import Fail, StoppableThread
+from valve_sim.nodes.threads import Cancelled, Fail, StoppableThread
 from valve_sim.recordings import Trace, another_valve, left_out_finding, read_trace, refuse_doubtful_units
 
 LATE_SECONDS: Final = 0.01
@@ -227,10 +227,6 @@ class Applied(NamedTuple):
     is_set: bool
     reason: str = ""
     changes: tuple[str, ...] = ()
-
-
-class Cancelled(Exception):  # noqa: N818 -- not an error: the node ends
-    """The thread is to stop."""
 
 
 def read_recording(settings: IdentificationSettings, declared: Valve) -> Trace:

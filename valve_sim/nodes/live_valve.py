@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from valve_sim.model import Event, EventKind, Phase, Reading, SimulationError, Stepper, Valve
 from valve_sim.model.core.plan import OFTEN
@@ -147,15 +147,8 @@ def load_stepper(valve: Valve) -> None:
     stepper.advance(3e-3)
 
 
-class SelfTest(NamedTuple):
-    """Whether the valve opened fully and its main plunger, or the only one, seated again; and the event times."""
-
-    passed: bool
-    summary: str
-
-
-def self_test(valve: Valve) -> SelfTest:
-    """Open and close a valve with these parameters; the running one is not affected.
+def self_test(valve: Valve) -> tuple[bool, str]:
+    """Whether a valve opens fully and its main plunger, or the only one, seats again; and when it did what.
 
     With gas the voltage stays until the pressure has equalised, which may take far longer than the motion.
     """
@@ -167,7 +160,7 @@ def self_test(valve: Valve) -> SelfTest:
         stepper.command(held.time, 0.0)
         closing = stepper.advance(held.time + SELF_TEST_SECONDS).events
     except SimulationError as error:
-        return SelfTest(False, str(error))
+        return False, str(error)
     is_one, name = valve.parameters.has_one_plunger, "main plunger"
     lifting, seating = [kinds.PICKED_UP, kinds.HELD_AT_GAP], [kinds.MAIN_SEATED]
     if is_one:
@@ -179,7 +172,7 @@ def self_test(valve: Valve) -> SelfTest:
     if valve.gas is not None and opened == "never":
         outlet, inlet = held.outlet_pressure / 1e6, valve.gas.inlet_pressure / 1e6
         how_far = f" (after {held.time:g} s the outlet is at {outlet:.3g} MPa, the tank at {inlet:.3g} MPa)"
-    return SelfTest(
+    return (
         "never" not in (opened, closed),
         f"at {volts:g} V: {'seat left' if is_one else 'main plunger picked up'} {lifted}, "
         f"stop reached {opened}{how_far}; at 0 V: stop left {released}, {name} seated {closed}",

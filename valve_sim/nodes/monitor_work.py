@@ -32,7 +32,7 @@ from valve_sim.identification.reporting.monitor_messages import (
 from valve_sim.model.errors import ValveError
 from valve_sim.nodes.diagnostics import Level, Status, number_words, unheard_words
 from valve_sim.nodes.realtime import NANOSECONDS
-from valve_sim.nodes.threads import Fail, StoppableThread
+from valve_sim.nodes.threads import Cancelled, Fail, StoppableThread
 from valve_sim.recordings import Trace
 
 MOST_WAITING: Final = 100
@@ -186,7 +186,7 @@ class FaultIsolation:
         while (work := self._take()) is not None:
             try:
                 finding = isolate_fault(work.strokes, work.baseline, self._say)
-            except _Cancelled:
+            except Cancelled:
                 continue
             except Exception as error:  # whatever it is, the next stroke's search is to begin
                 kind = "" if isinstance(error, ValveError) else f"{type(error).__name__}: "
@@ -217,12 +217,8 @@ class FaultIsolation:
 
     def _say(self, what: str, fraction: float) -> None:
         if not self._is_wanted.is_set():
-            raise _Cancelled
+            raise Cancelled
         self.doing = f"{what} ({100.0 * fraction:.0f} %)"
-
-
-class _Cancelled(Exception):  # noqa: N818 -- not an error: the node ends
-    """What is being isolated is no longer wanted."""
 
 
 class Health(NamedTuple):

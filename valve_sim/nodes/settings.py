@@ -13,7 +13,7 @@ from valve_sim.files.entries import short
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.identify import check_free
 from valve_sim.identification.monitoring.settings import MonitorSettings
-from valve_sim.identification.plants.valve import DAMPINGS
+from valve_sim.identification.plants.valve_model import DAMPINGS
 from valve_sim.model import ParameterError
 from valve_sim.nodes.parameters import VALVE_KEYS, NodeParameter, NodeSettings, Value, option
 from valve_sim.nodes.valve_parameters import check_with_valve, valve_table

@@ -9,6 +9,10 @@ Fail = Callable[[Exception], None]
 """Told what went wrong in a thread, which ends then. What goes wrong in one that is to end anyway is not told."""
 
 
+class Cancelled(Exception):  # noqa: N818 -- not an error: the node ends
+    """What is being calculated is no longer wanted; raised in a report of its progress."""
+
+
 class StoppableThread(threading.Thread):
     """A daemon thread whose work returns soon after `stop` was called: it looks at `is_stopping`.
 

@@ -37,6 +37,7 @@ from valve_sim.model.core.tracer import evaluate as numbers_of
 from valve_sim.recordings.bag_columns import BagColumns
 from valve_sim.recordings.layout import check_topic
 from valve_sim.recordings.recorded import Recorded
+from valve_sim.recordings.resting_noise import step_of
 from valve_sim.recordings.storage import read_recording
 from valve_sim.recordings.table_columns import TableColumns
 from valve_sim.recordings.trace import TraceError
@@ -370,9 +371,8 @@ def at_rest(times: Array, readings: Array) -> Mask:
     span = max(11, round(REST / steady))
     bends = np.diff(readings, 2)
     noise = 1.4826 * float(np.median(np.abs(bends - np.median(bends)))) / math.sqrt(6.0) if len(bends) else 0.0
-    step = np.abs(np.diff(readings))
-    quantum = float(np.min(step[step > 0.0], initial=math.inf))
-    allowed = max(STILL * noise, 1.5 * quantum if quantum < 0.01 * np.ptp(readings) else 0.0)
+    step = step_of(readings)
+    allowed = max(STILL * noise, 1.5 * step if step < 0.01 * np.ptp(readings) else 0.0)
     moved = ndimage.maximum_filter1d(readings, span) - ndimage.minimum_filter1d(readings, span)
     still = moved <= allowed
     return np.asarray(ndimage.binary_dilation(still, iterations=span // 2) if still.any() else still)

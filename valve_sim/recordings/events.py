@@ -12,8 +12,8 @@ import numpy as np
 
 from valve_sim.recordings.contact_times import PositionNoise, contact_time
 from valve_sim.recordings.current_bends import find_bends
-from valve_sim.recordings.motion import sample_noise, smallest_change
-from valve_sim.recordings.resting_noise import MAD_TO_SIGMA
+from valve_sim.recordings.motion import sample_noise
+from valve_sim.recordings.resting_noise import MAD_TO_SIGMA, step_of
 from valve_sim.recordings.strokes import find_stroke_parts
 
 if TYPE_CHECKING:
@@ -146,7 +146,7 @@ def _rest_levels(position: Array, pilot_gap: float) -> _Levels:
     A valve rests there most of the time, so these samples are many and mostly still. The whole trace is used, so this
     is done once for all strokes.
     """
-    white, step = sample_noise(position), smallest_change(position)
+    white, step = sample_noise(position), step_of(position)
     low, high = np.quantile(position, [0.001, 0.999])
     margin = max(NEAR_REST * (high - low), 6 * white)
     seat, at_seat = _rest(position, position < low + margin, white)

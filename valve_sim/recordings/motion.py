@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from valve_sim.recordings.resting_noise import MAD_TO_SIGMA
+from valve_sim.recordings.resting_noise import MAD_TO_SIGMA, step_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -31,16 +31,9 @@ def sample_noise(values: Array, order: int = 2) -> float:
     return float(MAD_TO_SIGMA * np.median(np.abs(np.diff(values, order)))) / math.sqrt(math.comb(2 * order, order))
 
 
-def smallest_change(position: Array) -> float:
-    """Return the smallest change between samples, m: the step of a coarse sensor, next to 0 for a fine one."""
-    changes = np.abs(np.diff(position))
-    changes = changes[changes > 1e-12]  # values on a grid come back with rounding errors of 1e-19 m, which are no steps
-    return float(changes.min()) if len(changes) else 0.0
-
-
 def motion_threshold(position: Array) -> float:
     """Return the span, m, above which a position has moved; below it may be noise."""
-    return MOTION_SIGMAS * sample_noise(position) + MOTION_STEPS * smallest_change(position) + SMALLEST_MOTION
+    return MOTION_SIGMAS * sample_noise(position) + MOTION_STEPS * step_of(position) + SMALLEST_MOTION
 
 
 def medians_of_three(values: Array) -> Array:

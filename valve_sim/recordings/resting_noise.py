@@ -29,8 +29,14 @@ ON_GRID: Final = 0.9
 """Share of the readings that lie on the grid of a coarse sensor; spikes need not."""
 NEAR_GRID: Final = 0.02
 """Steps within which a reading lies on the grid: chance would put one in 25 there."""
-FINEST_STEP: Final = 1e-10
-"""m; a sensor with finer steps than a tenth of a nanometre shows none."""
+FINEST_STEP: Final = 1e-7
+"""Of the range of readings; what is closer is one level, off by how a number is rounded."""
+MIDDLE: Final = 0.995
+"""Quantile of readings at the end of that range: spikes lie beyond."""
+READ_AGAIN: Final = 3
+"""Readings of the usual level of a sensor with uneven steps: levels of a motion are read once or twice."""
+FEW_LEVELS: Final = 2
+"""Levels between which nobody can tell a step from a motion."""
 ENOUGH: Final = 20_000
 """Readings, spread over a recording, that show its sensor's steps."""
 GAPS: Final = (0.05, 0.1, 0.25, 0.5)
@@ -80,18 +86,19 @@ class RestingNoise(NamedTuple):
         return 1.0 + math.log(BY_CHANCE / count) / math.log(self.likeliest)
 
 
-def repeated_levels(values: Array) -> Array:
-    """Return the different values, ascending, rounded to 12 digits behind the point; none where few values repeat."""
-    levels = np.unique(np.round(values, 12))
-    return levels if len(levels) <= 0.5 * len(values) else np.empty(0)
+def step_of(readings: Array) -> float:
+    """Return the step by which readings, shape (n,), of a sensor are rounded, in their unit; 0 where none is seen.
 
-
-def step_of(positions: Array) -> float:
-    """Return the step by which positions, shape (n,), are rounded, m; 0 for none."""
-    some = positions[:: max(1, len(positions) // ENOUGH)]
-    levels, counts = np.unique(np.round(some, 12), return_counts=True)
+    Steps of a curved sensor behind a converter, as of a thermistor, differ: then it is the median of those between
+    levels, where most of these are read again and again.
+    """
+    some = np.sort(readings[:: max(1, len(readings) // ENOUGH)])
+    if not len(some):
+        return 0.0
+    low, high = np.quantile(some, (1.0 - MIDDLE, MIDDLE))
+    first = np.flatnonzero(np.diff(some, prepend=-np.inf) > FINEST_STEP * (high - low or some[-1] - some[0]))
+    levels, counts = some[first], np.diff(np.append(first, len(some)))
     gaps = np.diff(levels)
-    gaps = gaps[gaps > FINEST_STEP]
     if not len(gaps):
         return 0.0
     often = levels[np.argmax(counts)]
@@ -100,7 +107,8 @@ def step_of(positions: Array) -> float:
         is_on = np.abs(steps - np.round(steps)) < NEAR_GRID
         if counts[is_on].sum() >= ON_GRID * len(some):
             return float(step)
-    return 0.0
+    is_read_again = len(levels) > FEW_LEVELS and 2 * len(levels) <= len(some) and np.median(counts) >= READ_AGAIN
+    return float(np.median(gaps)) if is_read_again else 0.0
 
 
 def resting_noise(positions: Array, step: float) -> RestingNoise:

@@ -9,9 +9,9 @@ import pytest
 
 from valve_sim.files.plant_files import load_plant
 from valve_sim.identification.diagnosis.run import begin
-from valve_sim.identification.fit.noise import quantisation_step
 from valve_sim.identification.plants.own import OwnPlant
 from valve_sim.recordings.columns import read
+from valve_sim.recordings.resting_noise import step_of
 
 COIL = """
 plant: coil
@@ -52,10 +52,19 @@ def test_uneven_steps_are_seen_where_levels_are_read_again() -> None:
     kelvin = 298.0 + 50.0 * np.sin(np.linspace(0.0, 3.0, 6000)) + rng.normal(0.0, 0.02, 6000)
     counts = np.round(1023.0 / (1.0 + np.exp(3950.0 * (1.0 / kelvin - 1.0 / 298.15))))
     read_back = 1.0 / (1.0 / 298.15 + np.log(1023.0 / counts - 1.0) / 3950.0)
-    assert 0.05 < quantisation_step(read_back) < 0.3
+    assert 0.05 < step_of(read_back) < 0.3
 
 
 def test_a_motion_without_noise_has_no_steps() -> None:
     """It repeats where it rests, and nowhere else."""
     motion = np.concatenate([np.zeros(3000), 1e-3 * np.linspace(0.0, 1.0, 1000) ** 2, np.full(3000, 1e-3)])
-    assert quantisation_step(motion) == 0.0
+    assert step_of(motion) == 0.0
+
+
+@pytest.mark.parametrize("bits", [8, 12, 16])
+def test_steps_of_a_converter_are_seen_beside_spikes(bits: int) -> None:
+    rng, step = np.random.default_rng(bits), 1.25e-3 / 2**bits
+    motion = 0.6e-3 * (1.0 + np.sin(np.linspace(0.0, 60.0, 8000))) + rng.normal(0.0, 1e-6, 8000)
+    readings = step * np.round(motion / step)
+    readings[::500] += rng.normal(0.0, 1e-3, 16)
+    assert step_of(readings) == pytest.approx(step, rel=1e-9)

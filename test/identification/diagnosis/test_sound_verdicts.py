@@ -13,7 +13,7 @@ from plants.recording import train_profile
 from benchmarks.campaign.hard import CAMPAIGN, cases
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose, diagnose_plant
-from valve_sim.identification.plants.protocol import Array, Channel, EffectChoice, ForceMap, Nuisance, Role
+from valve_sim.identification.plants.protocol import Array, Channel, EffectChoice, Plant, Role
 from valve_sim.identification.reporting.claims import recording_advice, summarise
 from valve_sim.identification.reporting.diagnosis_document import diagnosis_document
 from valve_sim.model import Drive, Parameter
@@ -64,14 +64,11 @@ def test_a_sample_at_the_command_of_an_instant_coil_makes_no_effect() -> None:
 # -- a user's plants ---------------------------------------------------------------------------------------------------
 
 
-class Decay:
+class Decay(Plant):
     """Shown: gain · exp(−t) in every group, with a `step` in later groups as its one effect."""
 
     base = ("gain",)
-    nuisances: tuple[Nuisance, ...] = ()
-    timing_errors: tuple[Nuisance, ...] = ()
-    force_maps: tuple[ForceMap, ...] = ()
-    experiments = ()
+    channels: tuple[Channel, ...] = ()
     PARAMETERS: ClassVar = {
         "gain": Parameter("gain", "A", "of the decay", 0.0, 1e3, 1.0),
         "ramp.slope": Parameter("slope", "A/s", "added", -1e3, 1e3, 0.1, 0.0),

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 
 from valve_sim.identification.fit.noise import Noise
 from valve_sim.identification.fit.problem import Problem
-from valve_sim.identification.plants.protocol import Array, Channel, EffectChoice, ForceMap, Nuisance
+from valve_sim.identification.plants.protocol import Array, Channel, EffectChoice, ForceMap, Nuisance, Plant
 from valve_sim.model import Parameter
 
 SAMPLES, STROKES = 1000, 8
@@ -18,12 +19,14 @@ COLUMNS = np.random.default_rng(11).standard_normal((SAMPLES, 12))
 """Without any relation to each other but chance."""
 
 
-class LinearPlant:
+class LinearPlant(Plant):
     """Shown: `level` times the first column, and what `shown` makes of the values."""
 
     base: Sequence[str] = ("level",)
-    timing_errors: Sequence[Nuisance] = ()
-    experiments = ()
+    channels: Sequence[Channel] = ()
+    nuisances: Sequence[Nuisance] = ()
+    effects: Mapping[str, EffectChoice] = MappingProxyType({})
+    force_maps: Sequence[ForceMap] = ()
 
     def __init__(
         self,
@@ -54,7 +57,7 @@ class LinearPlant:
 def problem_of(plant: LinearPlant) -> Problem:
     """With noise that is known."""
     noises = {"position": Noise(SIGMA, SIGMA, (), 0.0, 10_000)}
-    return Problem(plant, noises=noises)  # type: ignore[arg-type]
+    return Problem(plant, noises=noises)
 
 
 def measured(seed: int = 5) -> Array:

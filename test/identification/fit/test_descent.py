@@ -137,7 +137,7 @@ class Steep(Decay):
 
     def sensitivities(self, values: Mapping[str, float], directions: Sequence[Direction]) -> Sensitivities:
         columns = np.full((len(self.times), len(directions)), 1e200)
-        return Sensitivities([columns], np.ones(len(directions), dtype=bool))
+        return Sensitivities([columns], np.ones(len(directions), dtype=bool), self.predict(values))
 
 
 def test_derivatives_that_are_too_large_to_be_squared_are_an_error() -> None:

@@ -18,7 +18,7 @@ from valve_sim.identification.diagnosis.identify import Identification, identify
 from valve_sim.identification.fit.intervals import Unbounded
 from valve_sim.identification.fit.priors import Cauchy, LogNormal
 from valve_sim.identification.plants.protocol import perturbed, to_internal
-from valve_sim.identification.plants.valve import DAMPINGS
+from valve_sim.identification.plants.valve_model import DAMPINGS
 from valve_sim.model import CATALOGUE, DECLARED
 from valve_sim.recordings import Trace
 

@@ -25,7 +25,7 @@ from valve_sim.identification.monitoring.scores import SIZE, Baseline
 from valve_sim.identification.monitoring.segmenter import StrokeSegmenter
 from valve_sim.identification.monitoring.settings import MonitorSettings
 from valve_sim.identification.monitoring.stroke_monitor import FEWEST_WITH_GAS, StrokeMonitor
-from valve_sim.identification.plants.commissioned import CommissionedPlant
+from valve_sim.identification.plants.commissioned import in_service
 from valve_sim.identification.plants.protocol import Direction
 from valve_sim.recordings import Trace
 
@@ -85,7 +85,7 @@ def sized(strokes: Sequence[Trace], name: str) -> tuple[Interval, Fit]:
     """The size of a fault, as isolation fits it to strokes since it began."""
     known = baseline()
     trace = join(strokes, known)
-    plant = CommissionedPlant(trace, known.commissioned, known.scatter)
+    plant = in_service(trace, known.commissioned, known.scatter)
     problem = Problem(plant, noises={"position": known.noise})
     start = starts_by_lift(trace, VALVE)[name.partition(".")[0]]
     result = fit(problem, (name,), start, nuisances=plant.nuisances)
@@ -94,7 +94,7 @@ def sized(strokes: Sequence[Trace], name: str) -> tuple[Interval, Fit]:
 
 def test_derivatives_of_a_commissioned_valve_are_those_of_its_predictions():
     known = baseline()
-    plant = CommissionedPlant(
+    plant = in_service(
         join([record.trace for record in strokes_of(recorded(healthy=1, faulty=4, **LEAKING))[2:]], known),
         known.commissioned,
         known.scatter,

@@ -9,7 +9,7 @@ from plants.declared import CAMPAIGN_VALVE
 from identification.live_strokes import LiveValve, feed
 from identification.one_thread import Monitor
 from valve_sim.identification.monitoring.findings import StrokeState
-from valve_sim.identification.plants.commissioned import CommissionedPlant
+from valve_sim.identification.plants.commissioned import in_service
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import Drive, Valve
 from valve_sim.recordings import Trace
@@ -51,16 +51,16 @@ def test_what_a_valve_is_built_with_is_no_fault_of_a_commissioned_one(commission
     times = np.arange(0.0, 0.03, 1e-4)
     trace = Trace("a stroke", Drive.of([1e-3], [9.0]), times, np.zeros_like(times))
     any_valve = set(ValvePlant([trace], baseline.valve).effects)
-    in_service = set(CommissionedPlant(trace, baseline.commissioned, baseline.scatter).effects)
-    assert any_valve - in_service == {"motional_emf"}
-    assert in_service - any_valve == {"pilot_damping", "main_damping"}
+    watched = set(in_service(trace, baseline.commissioned, baseline.scatter).effects)
+    assert any_valve - watched == {"motional_emf"}
+    assert watched - any_valve == {"pilot_damping", "main_damping"}
 
 
 def test_a_declared_effect_of_another_size_bears_its_own_name_and_not_that_of_a_value_which_is_the_same(commissioned):
     found = commissioned[0].stroke_monitor.baseline.commissioned
     worn = replace(found.valve, effects={"drive_gain": {"gain": 0.95}, "motional_emf": {"share": 1.0}})
     trace = Trace("at rest", Drive.of([1e-3], [9.0]), np.arange(0.0, 0.01, 1e-4), np.zeros(100))
-    effects = CommissionedPlant(trace, found._replace(valve=worn), 50e-6).effects
+    effects = in_service(trace, found._replace(valve=worn), 50e-6).effects
     assert effects["drive_gain"].is_on
     assert effects["drive_gain"].parameters[0].off == 0.95
     assert "valve.reference_voltage" not in effects

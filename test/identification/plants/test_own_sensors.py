@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -15,6 +15,7 @@ from valve_sim.identification.plants.protocol import (
     Channel,
     EffectChoice,
     Nuisance,
+    Plant,
     Sensor,
 )
 from valve_sim.identification.plants.variation import group_factors, group_variations
@@ -33,14 +34,12 @@ PARAMETERS = {
 }
 
 
-class Lag:
+class Lag(Plant):
     """T' = (gain · max(power − dead band, 0) − T − radiation · T²)/time constant, from 0 at the beginning."""
 
     base = ("gain", "time_constant")
-    nuisances: Sequence[Nuisance] = ()
-    timing_errors: Sequence[Nuisance] = ()
-    force_maps: Sequence[Any] = ()
-    experiments: Sequence[Any] = ()
+    channels: tuple[Channel, ...] = ()
+    varying: Sequence[Nuisance] = ()
     effects: ClassVar = {
         name: EffectChoice(name, (PARAMETERS[free],))
         for name, free in (("radiation", "radiation.coefficient"), ("dead_band", "dead_band.power"))

@@ -24,15 +24,14 @@ from valve_sim.identification.plants.own import OwnPlant
 from valve_sim.identification.plants.protocol import (
     Array,
     Channel,
-    InPieces,
     Piece,
     Plant,
     finite_prediction,
     primary_channels,
 )
 from valve_sim.identification.plants.stroke_choice import choose_strokes
-from valve_sim.identification.plants.valve import ValvePlant, dampings_of
-from valve_sim.identification.plants.valve_model import GAS_NAMES
+from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.identification.plants.valve_model import GAS_NAMES, dampings_of
 from valve_sim.model import CATALOGUE, DECLARED, ParameterError, Valve
 from valve_sim.model.parameters import UNUSED_BY_ONE_PLUNGER, closest, unused_words
 from valve_sim.model.valve import OF_TWO_PLUNGERS
@@ -250,7 +249,7 @@ def _rms_of_channels(problem: Problem, values: Mapping[str, float], added: Seque
 
 def _pieces(plant: Plant, values: Mapping[str, float]) -> Iterator[Piece]:
     """What each channel would show; of a long recording never all of it at once."""
-    pieces = plant.pieces(values, ()) if isinstance(plant, InPieces) and is_long(plant) else None
+    pieces = plant.pieces(values, ()) if is_long(plant) else None
     if pieces is not None:
         yield from pieces
         return

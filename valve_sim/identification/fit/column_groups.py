@@ -41,21 +41,22 @@ class ColumnGroup:
         self._rows = np.concatenate([np.flatnonzero(mask) for mask in reach])
         self._columns = np.repeat(self.members, [np.count_nonzero(mask) for mask in reach])
 
-    def part(self, differences: NDArray[np.float64], columns: NDArray[np.float64]) -> bool:
+    def part(self, differences: Array, columns: Array, places: NDArray[np.intp]) -> bool:
         """Part the change of residuals when all are perturbed: what each acts on is its column's.
 
         Args:
-            differences: (n,) that change. columns: (n, m) of all nuisances, 0 where these are to be filled in.
+            differences: (n,) that change. columns: (n, m) of a Jacobian, 0 where these are to be filled in.
+            places: of all nuisances among its columns.
 
         Returns:
             whether they could be parted; else nothing is filled in.
         """
         if not self._decouples(differences):
             return False
-        columns[self._rows, self._columns] = differences[self._rows]
+        columns[self._rows, places[self._columns]] = differences[self._rows]
         return True
 
-    def _decouples(self, differences: NDArray[np.float64]) -> bool:
+    def _decouples(self, differences: Array) -> bool:
         """Whether each one's effect has died away at the end of each stretch of samples that it acts on.
 
         Where it has not, as in strokes that follow each other without rest, it reaches samples that another one acts

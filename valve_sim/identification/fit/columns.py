@@ -18,7 +18,7 @@ from valve_sim.identification.fit.errors.error import Mode, RecordingError, Seen
 from valve_sim.identification.fit.errors.hum import HUM
 from valve_sim.identification.fit.priors import Normal
 from valve_sim.identification.fit.unknown import DIFFERENCE, Group, Law, Unknown, known
-from valve_sim.identification.plants.protocol import Array, Changing, Channel, HasSensors, Nuisance, Plant, Sensor
+from valve_sim.identification.plants.protocol import Array, Channel, Nuisance, Plant, Sensor
 
 BY_NAME: Final[Mapping[str, RecordingError]] = {error.name: error for error in ERRORS}
 
@@ -97,8 +97,6 @@ def columns_of(
     Raises:
         SimulationError: the machine cannot be simulated with these values.
     """
-    if not isinstance(plant, HasSensors):
-        return Columns()
     sensors = plant.sensors(values)
     shown = plant.predict(values) if sensors else []
     unknowns: list[Unknown] = []
@@ -133,8 +131,8 @@ def columns_of(
 
 
 def changes_of(plant: Plant, effects: Iterable[str]) -> list[Nuisance]:
-    """How much some effects differ from stroke to stroke; none where a plant does not say."""
-    return [own for effect in effects for own in plant.changing(effect)] if isinstance(plant, Changing) else []
+    """How much some effects differ from stroke to stroke."""
+    return [own for effect in effects for own in plant.changing(effect)]
 
 
 def varying_unknowns(varying: Sequence[Nuisance]) -> tuple[Unknown, ...]:

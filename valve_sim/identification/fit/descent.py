@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from valve_sim.identification.fit.gaussian import Gaussian, MachineKnowledge, Sizes
 from valve_sim.identification.fit.model import Model
 from valve_sim.identification.fit.process import Cell, Process
-from valve_sim.identification.plants.protocol import Array, short_step_of
+from valve_sim.identification.plants.protocol import Array
 from valve_sim.model import SimulationError
 
 CONVERGED: Final = 1e-2
@@ -140,7 +140,7 @@ def _tried(there: Callable[[Array], Gaussian], at: Array) -> Gaussian | None:
 def _held_first(here: Gaussian) -> list[NDArray[np.bool_]]:
     """(k,) masks of what is held while far more than noise is left, one after the other; none where it is not."""
     model, samples = here.model, here.model.problem.effective_samples
-    has_gas = short_step_of(model.problem.plant) is not None
+    has_gas = model.problem.plant.short_step is not None
     tolerated = np.array([own.is_tolerated for own in model.moving], dtype=bool)
     if not tolerated.any() or here.cost <= (FAR_WITH_GAS if has_gas else FAR) * samples:
         return []

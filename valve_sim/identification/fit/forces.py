@@ -136,10 +136,10 @@ def _tangents(fitter: Fitter, tried: Tried, own: ForceMap, low: float, high: flo
     values |= {**own.fixed, **dict(zip(own.ends, (low, high), strict=False)), **dict.fromkeys(names, 0.0)}
     directions = [Direction({name: fitter.scale_of(own)}, 1e-6) for name in names]
     values[own.count] = float(len(names))
-    _, columns, is_known = fitter.problem.rows.linearised(values, directions)
+    found, is_known = fitter.problem.rows.linearised(values, directions)
     if not is_known.all():
         raise SimulationError("the derivative by an added force is not known")
-    return columns
+    return np.ascontiguousarray(found[:, :-1])
 
 
 def _motions(problem: Problem) -> list[tuple[int, float, float]]:

@@ -22,8 +22,7 @@ from valve_sim.identification.fit.gram import gram
 from valve_sim.identification.fit.model import Model, Sums
 from valve_sim.identification.fit.problem import Mask, Problem
 from valve_sim.identification.fit.unknown import Group
-from valve_sim.identification.plants.hold_out import Condition, UnderConditions
-from valve_sim.identification.plants.protocol import Array, Plant, primary_channels
+from valve_sim.identification.plants.protocol import Array, Condition, Plant, primary_channels
 from valve_sim.identification.plants.stroke_choice import SAME
 
 FEWEST: Final = 3
@@ -122,9 +121,9 @@ def _condition(plant: Plant, stroke: Stroke) -> _Key:
     """Of a valve the voltages of a stroke's commands, and to an octave for how long it was held; else the recording."""
     recording, group = stroke
     name = next(own.name for own in plant.channels if own.recording == recording).split(": ")[0]
-    if not isinstance(plant, UnderConditions):
-        return _Key((float(recording),), name)
     numbers = plant.condition_of(recording, group)
+    if numbers is None:
+        return _Key((float(recording),), name)
     levels = levels_of(numbers)
     octaves = [round(steps * math.log2(1.0 + SAME)) for steps in numbers[1::2]]
     held = [(volts, octave) for volts, octave in zip(levels, octaves, strict=True) if volts != 0.0]

@@ -7,6 +7,7 @@ the recordings are summed up as [J | B | e]ᵀ [J | B | e].
 from __future__ import annotations
 
 import contextlib
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -20,7 +21,7 @@ from valve_sim.identification.fit.column_groups import ColumnGroup
 from valve_sim.identification.fit.gram import gram
 from valve_sim.identification.fit.problem import Problem
 from valve_sim.identification.fit.unknown import Unknown
-from valve_sim.identification.plants.protocol import Array, Direction, short_step_of
+from valve_sim.identification.plants.protocol import Array, Direction
 from valve_sim.model import SimulationError
 
 FINE: Final = 1e-4
@@ -76,6 +77,7 @@ class Model:
         self.index = {own.name: place for place, own in enumerate(self.unknowns)}
         self.lower, self.upper = np.array([(own.lower, own.upper) for own in self.moving]).reshape(-1, 2).T
         self._local = [place for place, own in enumerate(self.moving) if own.nuisance is not None]
+        self._places = np.array(self._local, dtype=np.intp)
 
     @property
     def start(self) -> Array:
@@ -114,8 +116,34 @@ class Model:
         return self.problem.column_products[np.ix_(places, places)]
 
     @cached_property
-    def _groups(self) -> list[list[int]]:
-        return [[self._local[member] for member in own.members] for own in self._column_groups]
+    def _directed(self) -> list[list[int]]:
+        """Which coordinates share a direction: those of no recording have their own."""
+        local = set(self._local)
+        alone = [[place] for place in range(len(self.moving)) if place not in local]
+        return alone + [[self._local[member] for member in own.members] for own in self._column_groups]
+
+    @cached_property
+    def _even(self) -> list[Direction | None]:
+        """Directions that are the same everywhere: of coordinates that are values themselves; else None."""
+        is_even = [all(self.moving[place].parameter is None for place in own) for own in self._directed]
+        return [
+            self._direction(own, self.start) if even else None
+            for own, even in zip(self._directed, is_even, strict=True)
+        ]
+
+    @cached_property
+    def _shared(self) -> dict[int, ColumnGroup]:
+        """By the number of the direction those that are shared."""
+        first = len(self._directed) - len(self._column_groups)
+        return {first + place: own for place, own in enumerate(self._column_groups) if len(own.members) > 1}
+
+    @cached_property
+    def _column_of(self) -> NDArray[np.intp]:
+        """(k + 1,) the number of each coordinate's direction, and last that of the residuals."""
+        found = np.full(len(self.moving) + 1, len(self._directed))
+        for place, members in enumerate(self._directed):
+            found[members] = place
+        return found
 
     @cached_property
     def _column_groups(self) -> list[ColumnGroup]:
@@ -148,8 +176,8 @@ class Model:
 
     def tangent(self, z: Array, place: int) -> Array | None:
         """(r,) derivative of the residuals by one coordinate; None where the plant does not know it."""
-        _, columns, is_known = self._along(z, [[place]])
-        return columns[:, 0] if is_known[0] else None
+        found, is_known = self._along(z, [self._direction([place], z)])
+        return found[:, 0] if is_known[0] else None
 
     def _summed(self, moved: Array) -> Sums:
         k, q = len(self.moving), len(self.linear)
@@ -160,7 +188,7 @@ class Model:
         products[k:-1, outer], products[outer, k:-1] = cross, cross.T
         products[k:-1, k:-1] = self._fixed_products
         if not np.isfinite(products).all():
-            raise SimulationError("the derivatives are too large to be squared")
+            raise SimulationError("the derivatives are too large to be squared, or not finite")
         return Sums(moved, self.fixed, products, self.problem.rows.constant)
 
     def _in_pieces(self, z: Array) -> Sums | None:
@@ -193,48 +221,37 @@ class Model:
 
         Unknowns that act on different samples share a direction, whose derivative is parted.
         """
-        local = set(self._local)
-        groups = [[place] for place in range(len(self.moving)) if place not in local]
-        count = len(groups)
-        groups += self._groups
-        left, shared, is_known = self._along(z, groups)
-        moved, parted = np.zeros((len(left), len(self.moving) + 1)), np.zeros((len(left), len(self._local)))
-        moved[:, -1] = left
-        alone = [place for place, members in enumerate(groups) if is_known[place] and len(members) == 1]
-        apart = [member for place, members in enumerate(groups) if not is_known[place] for member in members]
-        for place in range(count, len(groups)):
-            is_shared = is_known[place] and len(groups[place]) > 1
-            if is_shared and not self._column_groups[place - count].part(shared[:, place], parted):
+        groups = self._directed
+        even = self._even
+        found, is_known = self._along(z, [even[n] or self._direction(own, z) for n, own in enumerate(groups)])
+        moved, apart = np.take(found, self._column_of, axis=1), list[int]()
+        for place in np.flatnonzero(~is_known).tolist():
+            apart += groups[place]
+        for place, group in self._shared.items():
+            moved[:, groups[place]] = 0.0
+            if is_known[place] and not group.part(found[:, place], moved, self._places):
                 apart += groups[place]
-        moved[:, self._local] = parted
-        if alone:
-            moved[:, [groups[place][0] for place in alone]] = shared[:, alone]
-        rest = [place for place in apart if len(self.moving[place].moves(float(z[place]))) > 0]
-        for_plant = [place for place in rest if any(len(own) > 1 and place in own for own in groups)]
+        for_plant = [place for place in apart if any(place in groups[shared] for shared in self._shared)]
         if for_plant:
-            _, shared, is_known = self._along(z, [[place] for place in for_plant])
-            for column, place in enumerate(for_plant):
-                if is_known[column]:
-                    moved[:, place] = shared[:, column]
-                    rest.remove(place)
-        for place in rest:
-            moved[:, place] = self._quotient(z, place, left)
-        if not np.isfinite(moved).all():
-            raise SimulationError("the derivatives are not finite")
+            found, is_known = self._along(z, [self._direction([place], z) for place in for_plant])
+            alone = list(itertools.compress(for_plant, is_known))
+            moved[:, alone] = found[:, np.flatnonzero(is_known)]
+            apart = [place for place in apart if place not in alone]
+        for place in apart:
+            moved[:, place] = self._quotient(z, place, moved[:, -1])
         return moved
 
-    def _along(self, z: Array, groups: Sequence[Sequence[int]]) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """(r,) residuals, (r, g) derivatives along the sum of each group, and (g,) where the plant knows them."""
-        directions = [self._direction(own, z) for own in groups]
+    def _along(self, z: Array, directions: Sequence[Direction]) -> tuple[Array, NDArray[np.bool_]]:
+        """(r, k + 1) derivatives along k directions and residuals, and (k,) where the plant knows the former."""
         stands = np.array([own is STANDING for own in directions], dtype=bool)
-        left, columns, is_known = self.problem.rows.linearised(self.values(z), directions)
-        if not np.isfinite(left).all():
+        found, is_known = self.problem.rows.linearised(self.values(z), directions)
+        if not np.isfinite(found[:, -1]).all():
             raise SimulationError("the simulation gives numbers that are not finite")
-        return left, columns, is_known & ~stands
+        return found, is_known & ~stands
 
     def _quotient(self, z: Array, place: int, left: Array) -> Array:
         """(r,) a difference quotient by one coordinate, within its range; nothing where none can be simulated."""
-        own, short = self.moving[place], short_step_of(self.problem.plant)
+        own, short = self.moving[place], self.problem.plant.short_step
         sizes = [share * own.step for share in SHARES]
         if short is not None and own.parameter is not None:
             sizes = [short * own.scale, *sizes]

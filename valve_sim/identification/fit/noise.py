@@ -14,7 +14,7 @@ from scipy.linalg.blas import dtbsv
 
 from valve_sim.identification.fit.errors import hum
 from valve_sim.identification.plants.protocol import Channel
-from valve_sim.recordings.resting_noise import repeated_levels
+from valve_sim.recordings.resting_noise import step_of
 
 Array = NDArray[np.float64]
 
@@ -41,8 +41,6 @@ PLAIN_DRIFT: Final = 5.0
 PLAINLY_MORE: Final = 2.0
 """Times what a model leaves, beyond which noise read at rest was motion; and times a step or rounding, below which it
 is these."""
-READ_AGAIN: Final = 3
-"""Readings of the usual level of a sensor with uneven steps: levels of a motion are read once or twice."""
 HIDDEN: Final = 0.25
 """Of a step: noise of this standard deviation takes one reading in twenty at rest to another code, less hides."""
 DRAWS: Final = 20
@@ -99,29 +97,47 @@ class Noise:
                 first = max(start, lag)
                 found[first:end] -= coefficient * columns[first - lag : end - lag]
 
-    def whiten_rows(
-        self, found: Array, columns: Array, at: NDArray[np.intp], lags: NDArray[np.intp], scale: Array
-    ) -> None:
-        """Whiten rows of columns: (n, k) → `found`, (r, k).
-
-        Args:
-            found, columns: the former is written. at: (r,) which row of the columns each is of.
-            lags: (r,) over how many rows before it each is whitened; −1: over none. scale: (r,) factor of each.
-        """
+    def whiten_rows(self, found: Array, columns: Array, rows: WhiteRows) -> None:
+        """Whiten rows of columns, in the signal's unit: (n, k) → `found`, (r, k), which is written."""
+        if not self.coefficients:
+            np.take(columns, rows.at, axis=0, out=found, mode="clip")
+            return
         white = np.empty(columns.shape)
         self._filter(white, columns)
-        np.take(white, at, axis=0, out=found, mode="clip")
+        np.take(white, rows.at, axis=0, out=found, mode="clip")
+        found[rows.odd] = columns[rows.at[rows.odd]]
+        for coefficient, (late, before) in zip(self.coefficients, rows.late, strict=True):
+            found[late] -= coefficient * columns[before]
+
+    def white_rows(self, at: NDArray[np.intp], lags: NDArray[np.intp]) -> WhiteRows:
+        """What is whitened of columns.
+
+        Args:
+            at: (r,) which row of the columns each is of.
+            lags: (r,) over how many rows before it each is whitened; −1: over none.
+        """
         odd = np.flatnonzero(lags < np.minimum(at, len(self.coefficients)))
-        found[odd] = columns[at[odd]]
-        for lag, coefficient in enumerate(self.coefficients, start=1):
-            late = odd[lags[odd] >= lag]
-            found[late] -= coefficient * columns[at[late] - lag]
-        found *= scale[:, None]
+        orders = range(1, len(self.coefficients) + 1)
+        late = [odd[lags[odd] >= lag] for lag in orders]
+        return WhiteRows(at, odd, [(own, at[own] - lag) for own, lag in zip(late, orders, strict=True)])
 
     @property
     def is_coarse(self) -> bool:
         """Whether the quantisation step hides the noise."""
         return self.step > COARSE * self.sigma
+
+
+class WhiteRows(NamedTuple):
+    """Which rows of columns are whitened.
+
+    Attributes:
+        at: (r,) of which row of the columns each is. odd: those that are not whitened over all rows before them.
+        late: for each lag, of the odd ones those that are over so many, and the rows of the columns so much before.
+    """
+
+    at: NDArray[np.intp]
+    odd: NDArray[np.intp]
+    late: list[tuple[NDArray[np.intp], NDArray[np.intp]]]
 
 
 class Window(NamedTuple):
@@ -146,7 +162,7 @@ def estimate_noise(channels: Sequence[Channel], *, may_hum: bool = False) -> Noi
     shows_colour = bool(windows)
     if not shows_colour:
         windows = [window for channel in channels for window in quiet_windows(channel, SHORT_WINDOW)]
-    step = quantisation_step(*(channel.kept(channel.data) for channel in channels))
+    step = step_of(np.concatenate([channel.kept(channel.data) for channel in channels]))
     windows = _at_the_quieter_rest(windows)
     if not windows:
         # Never still: the second difference of a smooth motion is nearly all noise.
@@ -372,25 +388,6 @@ def _spread(windows: Sequence[Window]) -> float:
     """Standard deviation within windows."""
     squares = sum(float(np.sum(np.square(own.values - own.values.mean()))) for own in windows)
     return math.sqrt(squares / max(1, sum(len(own.values) - 1 for own in windows)))
-
-
-def quantisation_step(*pieces: Array) -> float:
-    """The step of a quantised signal, in its unit; 0 if readings hardly repeat.
-
-    Steps of a curved sensor behind a converter, as of a thermistor, differ: then it is the median of those between
-    levels, where most of these are read again and again.
-    """
-    readings = np.concatenate(pieces) if pieces else np.empty(0)
-    levels = repeated_levels(readings)
-    if len(levels) < 3:
-        return 0.0
-    gaps = np.diff(levels)
-    step = float(np.quantile(gaps, 0.05))
-    multiples = gaps / step
-    if step > 0.0 and np.mean(np.abs(multiples - np.round(multiples)) < 0.02) > 0.95:
-        return step
-    counts = np.histogram(readings, np.concatenate([[-np.inf], levels[:-1] + 0.5 * gaps, [np.inf]]))[0]
-    return float(np.median(gaps)) if float(np.median(counts)) >= READ_AGAIN else 0.0
 
 
 def still_runs(data: Array) -> Array:

@@ -33,10 +33,7 @@ from valve_sim.identification.fit.priors import Prior, prior_of
 from valve_sim.identification.fit.rows import CondensedRows, Rows
 from valve_sim.identification.plants.protocol import (
     Array,
-    HasSensors,
-    InPieces,
     Plant,
-    Thinnable,
     primary_channels,
 )
 from valve_sim.model import SimulationError
@@ -219,7 +216,7 @@ class Problem:
     @functools.cached_property
     def _condensed_rows(self) -> CondensedRows | None:
         plant = self.plant
-        if not self._condenses or self.is_long or not (isinstance(plant, Thinnable) and plant.can_be_thinned):
+        if not self._condenses or self.is_long or not plant.can_be_thinned:
             return None
         return CondensedRows(plant, self._weights, self._noise_of_each, self.budget)
 
@@ -310,7 +307,7 @@ def weigh_outliers(
 
 def is_long(plant: Plant) -> bool:
     """Whether there are so many samples that a fit only adds residuals up, where the plant gives them in pieces."""
-    return sum(len(channel.data) for channel in plant.channels) > LONG and isinstance(plant, InPieces)
+    return sum(len(channel.data) for channel in plant.channels) > LONG and plant.comes_in_pieces
 
 
 def _noises(plant: Plant) -> dict[str, Noise]:
@@ -324,7 +321,7 @@ def _noises(plant: Plant) -> dict[str, Noise]:
 
 def _humming(plant: Plant) -> set[str]:
     """Kinds of the channels whose hum fits estimate along; none of a long recording, whose errors have no columns."""
-    if not isinstance(plant, HasSensors) or is_long(plant):
+    if is_long(plant):
         return set()
     with contextlib.suppress(SimulationError):
         return {plant.channels[index].kind for index in plant.sensors({})}

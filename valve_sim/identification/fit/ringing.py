@@ -11,7 +11,7 @@ from valve_sim.identification.fit.columns import seen_by
 from valve_sim.identification.fit.errors.error import Mode
 from valve_sim.identification.fit.errors.ringing import columns, grid, refined
 from valve_sim.identification.fit.gaussian import Gaussian
-from valve_sim.identification.plants.protocol import HasSensors, Sensor
+from valve_sim.identification.plants.protocol import Sensor
 
 MOST_MODES: Final = 2
 """Of one mount."""
@@ -31,8 +31,6 @@ def ringing_modes(gaussian: Gaussian) -> dict[int, tuple[Mode, ...]]:
     """
     problem = gaussian.model.problem
     found = dict(problem.columns.modes)
-    if not isinstance(problem.plant, HasSensors):
-        return found
     for channel, sensor in problem.plant.sensors(gaussian.model.values(gaussian.z)).items():
         modes = found.get(channel, ())
         mode = likely_mode(gaussian, channel, sensor) if len(modes) < MOST_MODES else None

@@ -27,20 +27,16 @@ from numpy.typing import NDArray
 from valve_sim.identification.fit.budget import Budget
 from valve_sim.identification.fit.column_groups import ColumnGroup, group_columns, reach_of
 from valve_sim.identification.fit.gram import gram
-from valve_sim.identification.fit.noise import Noise, readings_near, stretches
+from valve_sim.identification.fit.noise import Noise, WhiteRows, readings_near, stretches
 from valve_sim.identification.plants.protocol import (
     Array,
     Channel,
-    Differentiable,
     Direction,
-    InPieces,
     Nuisance,
     Piece,
     Plant,
-    Thinnable,
     finite_prediction,
     strokes_of_plant,
-    varying_of,
 )
 from valve_sim.model import SimulationError
 
@@ -197,35 +193,12 @@ class Rows:
             SimulationError: the machine cannot be simulated with these values.
         """
         self._budget.count(self._strokes)
-        return self._left(finite_prediction(self._simulated, values))
-
-    def _left(self, shown: Sequence[Array]) -> Array:
-        """(r,) residuals of what is shown in each channel."""
-        beyond = [(own - layout.readings)[:, None] for own, layout in zip(shown, self._layouts, strict=True)]
-        return np.concatenate([layout.target for layout in self._layouts]) - self._whitened(beyond)[:, 0]
-
-    def sensitivities(
-        self, values: Mapping[str, float], directions: Sequence[Direction]
-    ) -> tuple[Array, NDArray[np.bool_]]:
-        """(r, k) derivatives of the residuals, no rows where none is known, and (k,) where the plant knows them.
-
-        Args:
-            values, directions: as of the plant's `sensitivities`.
-
-        Raises:
-            SimulationError: the machine cannot be simulated with these values.
-        """
-        self._budget.count(self._strokes, len(directions))
-        nothing, plant = np.empty((0, len(directions))), self._simulated
-        if not directions or not isinstance(plant, Differentiable):
-            return nothing, np.zeros(len(directions), dtype=bool)
-        columns, known, _ = plant.sensitivities(values, directions)
-        return (self._whitened(columns, -1.0) if known.any() else nothing), known
+        return self._white(finite_prediction(self._simulated, values))[:, 0]
 
     def linearised(
         self, values: Mapping[str, float], directions: Sequence[Direction]
-    ) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """(r,) residuals, (r, k) their derivatives, no rows where none is known, and (k,) where the plant knows them.
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """(r, k + 1) derivatives of the residuals and residuals; (k,) where the plant knows the former, else 0.
 
         Args:
             values, directions: as of the plant's `sensitivities`.
@@ -234,13 +207,39 @@ class Rows:
             SimulationError: the machine cannot be simulated with these values.
         """
         self._budget.count(self._strokes, len(directions))
-        nothing, plant = np.empty((0, len(directions))), self._simulated
-        if not directions or not isinstance(plant, Differentiable):
-            return self.residuals(values), nothing, np.zeros(len(directions), dtype=bool)
-        columns, known, shown = plant.sensitivities(values, directions)
-        if not known.any() or shown is None:
-            return self.residuals(values), self._whitened(columns, -1.0) if known.any() else nothing, known
-        return self._left(shown), self._whitened(columns, -1.0), known
+        known = np.zeros(0, dtype=bool)
+        if directions:
+            columns, known, shown = self._simulated.sensitivities(values, directions)
+            if known.any():
+                return self._white(shown, columns), known
+        left = self.residuals(values)
+        return np.column_stack([np.zeros((len(left), len(directions))), left]), known
+
+    def _white(self, shown: Sequence[Array], columns: Sequence[Array] | None = None) -> Array:
+        """(r, k + 1) derivatives of the residuals and residuals, whitened and weighted.
+
+        Args:
+            shown: (m,) in each channel, at the samples that are simulated. columns: (m, k) derivatives of these.
+        """
+        found = np.empty((len(self._target), 1 + (0 if columns is None else columns[0].shape[1])))
+        start = 0
+        for index, (layout, noise, rows) in enumerate(zip(self._layouts, self._noises, self._white_rows, strict=True)):
+            own = found[start : start + len(layout.at)]
+            if columns is not None:
+                noise.whiten_rows(own[:, :-1], columns[index], rows)
+            noise.whiten_rows(own[:, -1:], (shown[index] - layout.readings)[:, None], rows)
+            own *= -layout.scale[:, None]
+            start += len(own)
+        found[:, -1] += self._target
+        return found
+
+    @functools.cached_property
+    def _target(self) -> Array:
+        return np.concatenate([layout.target for layout in self._layouts])
+
+    @functools.cached_property
+    def _white_rows(self) -> list[WhiteRows]:
+        return [own.white_rows(layout.at, layout.lags) for layout, own in zip(self._layouts, self._noises, strict=True)]
 
     def whitened_columns(self, columns: Mapping[int, Array]) -> dict[int, tuple[slice, Array]]:
         """The slice of rows of some channels, and (r, q) whitened, weighted columns of (n, q) of all their samples."""
@@ -250,16 +249,6 @@ class Rows:
             if index in columns:
                 found[index] = own, layout.whitened(columns[index], noise)
             start = own.stop
-        return found
-
-    def _whitened(self, columns: Sequence[Array], sign: float = 1.0) -> Array:
-        """(r, k) of all channels, whitened and weighted, from (m, k) each of the samples that are simulated."""
-        found = np.empty((sum(len(layout.at) for layout in self._layouts), columns[0].shape[1]))
-        start = 0
-        for of_channel, layout, noise in zip(columns, self._layouts, self._noises, strict=True):
-            own = found[start : start + len(layout.at)]
-            noise.whiten_rows(own, of_channel, layout.at, layout.lags, sign * layout.scale)
-            start += len(own)
         return found
 
     def sums(self, values: Mapping[str, float], directions: Sequence[Direction]) -> PieceSums | None:
@@ -272,7 +261,7 @@ class Rows:
             SimulationError: the machine cannot be simulated with these values.
         """
         self._budget.count(self._strokes, len(directions))
-        pieces = self.plant.pieces(values, directions) if isinstance(self.plant, InPieces) else None
+        pieces = self.plant.pieces(values, directions)
         if pieces is None:
             return None
         total = np.zeros((1 + len(directions),) * 2)
@@ -302,10 +291,10 @@ def _rows_of(piece: Piece, channel: Channel, before: Array) -> Array:
 class CondensedRows(Rows):
     """Rows of which some stand for many samples; arguments as of `Rows`, the plant one that can be thinned."""
 
-    def __init__(self, plant: Thinnable, weights: Sequence[Array], noises: Sequence[Noise], budget: Budget) -> None:
+    def __init__(self, plant: Plant, weights: Sequence[Array], noises: Sequence[Noise], budget: Budget) -> None:
         super().__init__(plant, weights, noises, budget)
         edges = np.unique(
-            [end for own in (*plant.nuisances, *plant.timing_errors, *varying_of(plant)) for end in own.during]
+            [end for own in (*plant.nuisances, *plant.timing_errors, *plant.varying) for end in own.during]
         )
         channels = zip(plant.channels, _reference(plant), weights, noises, strict=True)
         self._condensed = [_in_blocks(*channel, edges[np.isfinite(edges)]) for channel in channels]

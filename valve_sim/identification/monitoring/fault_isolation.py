@@ -21,11 +21,11 @@ from valve_sim.identification.fit.problem import shows_rest
 from valve_sim.identification.monitoring.kept_samples import joined, with_joined_ends
 from valve_sim.identification.monitoring.lift_times import starts_by_lift
 from valve_sim.identification.monitoring.scores import FINEST, Baseline
-from valve_sim.identification.plants.commissioned import CommissionedPlant
+from valve_sim.identification.plants.commissioned import in_service
 from valve_sim.identification.plants.effect_titles import WRONG
 from valve_sim.identification.plants.protocol import Plant
 from valve_sim.identification.plants.tolerances import hypothesis_of
-from valve_sim.identification.plants.valve import DAMPINGS
+from valve_sim.identification.plants.valve_model import DAMPINGS
 from valve_sim.identification.plants.variation import VARIATION
 from valve_sim.model import Drive
 from valve_sim.recordings import Signal, Trace
@@ -89,7 +89,7 @@ def isolate_fault(strokes: Sequence[Trace], baseline: Baseline, progress: Progre
     )  # fmt: skip
 
 
-def _known_sizes(plant: CommissionedPlant, baseline: Baseline) -> Mapping[str, float]:
+def _known_sizes(plant: Plant, baseline: Baseline) -> Mapping[str, float]:
     """Sizes of errors that are those of commissioning: a fault would be taken for more of them.
 
     That is how much strokes vary. Drift is read anew while the valve rests, if it does so for long enough. Hum is
@@ -112,7 +112,7 @@ def _estimated_name(name: str) -> str:
     return first if first in DAMPINGS else name.removeprefix("valve.")
 
 
-def _plants(strokes: Sequence[Trace], baseline: Baseline) -> list[CommissionedPlant]:
+def _plants(strokes: Sequence[Trace], baseline: Baseline) -> list[Plant]:
     """The valve behind the strokes that are fitted, and behind those that are held out.
 
     With gas the valve behind all of them: a stroke begins with the pressure that those before it have left behind the
@@ -124,7 +124,7 @@ def _plants(strokes: Sequence[Trace], baseline: Baseline) -> list[CommissionedPl
         parts = [training, [stroke for index, stroke in enumerate(strokes) if index % HELD_OUT == HELD_OUT - 1]]
     traces = [join(part, baseline) for part in parts]
     starts = starts_by_lift(traces[0], baseline.valve)
-    return [CommissionedPlant(trace, baseline.commissioned, baseline.scatter, starts) for trace in traces]
+    return [in_service(trace, baseline.commissioned, baseline.scatter, starts) for trace in traces]
 
 
 def estimates(effects: Sequence[str], plant: Plant, intervals: Mapping[str, Interval]) -> dict[str, Interval]:

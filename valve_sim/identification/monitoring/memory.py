@@ -19,8 +19,7 @@ from valve_sim.identification.monitoring.command_timing import StrokeTiming
 from valve_sim.identification.monitoring.commissioning import Commissioning, ScoreBaseline
 from valve_sim.identification.monitoring.scores import Baseline
 from valve_sim.identification.plants.commissioned import CommissionedCurrent
-from valve_sim.identification.plants.valve import dampings_of
-from valve_sim.identification.plants.valve_model import ValveModel
+from valve_sim.identification.plants.valve_model import ValveModel, dampings_of
 from valve_sim.model import EXACT, ParameterError, Valve
 
 SCHEMA: Final = "valve_sim/commissioning/3"

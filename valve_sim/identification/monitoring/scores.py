@@ -39,7 +39,8 @@ from valve_sim.identification.monitoring.stroke_delays import rough_shifts, star
 from valve_sim.identification.plants.commissioned import Commissioned, CommissionedCurrent, commission_current
 from valve_sim.identification.plants.protocol import Array, perturbed
 from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA
-from valve_sim.identification.plants.valve import DAMPINGS, ValvePlant, dampings_of
+from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.identification.plants.valve_model import DAMPINGS, dampings_of
 from valve_sim.identification.plants.valve_sensors import as_it_began
 from valve_sim.model import EXACT, SimulationError, Valve, simulate
 from valve_sim.recordings import Trace

@@ -1,4 +1,4 @@
-"""The coil current beside a commissioned valve: how late it is stamped, and its gain.
+"""A commissioned valve in service: what is known of it, and its coil current, how late it is stamped, and its gain.
 
 A live current has no stamp of its own and is timed by its arrival, and the coil's resistance is an assumption unless it
 was measured. Neither matters for later changes: both are estimated from the baseline strokes, and
@@ -14,23 +14,12 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from valve_sim.identification.plants.covariance_root import covariance_root
-from valve_sim.identification.plants.hold_out import Condition
-from valve_sim.identification.plants.protocol import (
-    Advice,
-    Array,
-    Channel,
-    Direction,
-    EffectChoice,
-    ForceMap,
-    Nuisance,
-    Plant,
-    Sensitivities,
-    Sensor,
-)
+from valve_sim.identification.plants.protocol import Array, EffectChoice, Nuisance
 from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA
 from valve_sim.identification.plants.tolerances import of_gas
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.plants.valve_sensors import as_it_began
+from valve_sim.identification.plants.valve_model import ValveModel, dampings_of
+from valve_sim.identification.plants.valve_sensors import as_it_began, with_declared_sensor
 from valve_sim.model import CATALOGUE, DECLARED, Parameter, Tag, Valve, simulate
 from valve_sim.model.gas import GAS
 from valve_sim.recordings import Signal, Trace
@@ -121,156 +110,86 @@ class Commissioned(NamedTuple):
     covariance: Array
 
 
-class CommissionedPlant(Plant):
-    """A valve in service whose dampings and clock are known: a change of a damping is one effect among others.
+class CommissionedModel(ValveModel):
+    """The values of a valve in service, whose dampings and clock are known: a change of a damping is an effect.
 
     Args:
-        trace: some strokes, their motion put back by the lateness.
-        commissioned: the valve.
-        scatter: s, standard deviation of the commands' times.
+        commissioned: the valve. scatter: s, standard deviation of the commands' times.
         starts: values from which fits of effects start, too, by the effects' names.
     """
 
     def __init__(
-        self,
-        trace: Trace,
-        commissioned: Commissioned,
-        scatter: float,
-        starts: Mapping[str, Mapping[str, float]] | None = None,
+        self, commissioned: Commissioned, scatter: float, starts: Mapping[str, Mapping[str, float]] | None = None
     ) -> None:
-        # A leak has changed the pressure behind the valve before its first stroke, so it is estimated along.
-        valve = as_it_began(commissioned.valve, trace)
-        self._plant = ValvePlant([replace(trace, outlet_start=None)], valve, is_watched=True)
-        self._scatter = max(scatter, FINEST_SCATTER)
+        super().__init__(commissioned.valve)
+        self.refitted, self.scatter = (), max(scatter, FINEST_SCATTER)
         self._estimated = commissioned.estimated
         self._spread = covariance_root(commissioned.covariance) / CLOCK_SIGMA
         self._errors = tuple(f"commissioning_error[{index}]" for index in range(self._spread.shape[1]))
-        self._dampings = {name: self._damping(name) for name in self._plant.base}
+        # In a unit in which their deviation is that of a clock, so that one difference step suits both.
+        self.nuisances = (*(Nuisance(name, CLOCK_SIGMA, "–") for name in self._errors), *self._start())
+        self._dampings = {name: self._damping(name) for name in dampings_of(self.valve)}
         alike = tuple(entry.name for entry in CATALOGUE.tagged(Tag.LIKE_DAMPING))
         built_in = {entry.name for entry in CATALOGUE.tagged(Tag.BUILT_IN)}
-        self._effects = {
+        effects = {
             **{name: EffectChoice(name, (parameter,), alike) for name, parameter in self._dampings.items()},
-            **{name: choice for name, choice in self._plant.effects.items() if name not in built_in},
+            **{name: choice for name, choice in self.effects.items() if name not in built_in},
         }
-        self._effects |= {name: replace(self._effects[name], start=start) for name, start in (starts or {}).items()}
+        self.effects = effects | {name: replace(effects[name], start=start) for name, start in (starts or {}).items()}
 
-    @property
-    def short_step(self) -> float | None:
-        """The step for difference quotients, that of the valve's plant."""
-        return self._plant.short_step
-
-    @property
-    def channels(self) -> Sequence[Channel]:
-        """The channels of the trace."""
-        return self._plant.channels
-
-    @property
-    def nuisances(self) -> Sequence[Nuisance]:
-        """An error for each command's stamp, and what commissioning has left open of what it has estimated.
-
-        The latter in a unit in which their deviation is that of a clock, so that one difference step suits both.
-        """
-        stamps = [nuisance._replace(sigma=self._scatter) for nuisance in self._plant.timing_errors]
-        return (*stamps, *(Nuisance(name, CLOCK_SIGMA, "–") for name in self._errors), *self._start())
+    def _damping(self, name: str) -> Parameter:
+        value = super().declared(name)
+        known = DECLARED[name]
+        return known._replace(name=_VALUE, off=value, prior_scale=max(value, known.prior_scale))
 
     def _start(self) -> tuple[Nuisance, ...]:
-        """The pressure behind a valve with gas, when the trace begins."""
-        gas = self._plant.valve.gas
+        """The pressure behind a valve with gas, when the recording begins: a leak has changed it before."""
+        gas = self.valve.gas
         if gas is None:
             return ()
         rule, sigma = GAS[START], START_SHARE * gas.inlet_pressure
         return (
             Nuisance(
-                of_gas(START),
-                sigma,
-                rule.unit,
-                step=1e-3 * sigma,
-                mean=gas.outlet_pressure,
-                lower=rule.lower,
+                of_gas(START), sigma, rule.unit, step=1e-3 * sigma, mean=gas.outlet_pressure, lower=rule.lower,
                 is_of_machine=True,
             ),
-        )
-
-    @property
-    def varying(self) -> Sequence[Nuisance]:
-        """What varies from stroke to stroke, that of the valve's plant."""
-        return self._plant.varying
-
-    def sensors(self, values: Mapping[str, float]) -> Mapping[int, Sensor]:
-        """The sensors with their errors, those of the valve's plant.
-
-        Raises:
-            SimulationError: the simulation could not be carried to its end.
-        """
-        return self._plant.sensors(self._plain(values))
-
-    @property
-    def effects(self) -> Mapping[str, EffectChoice]:
-        """Changes of the dampings, and those of any valve but what a valve has from the beginning or never."""
-        return self._effects
-
-    def condition_of(self, recording: int, group: int) -> Condition:
-        """The condition under which a stroke was made, that of the valve's plant."""
-        return self._plant.condition_of(recording, group)
-
-    @property
-    def force_maps(self) -> Sequence[ForceMap]:
-        """Force maps of any valve; none with gas, where each of many derivatives takes another simulation of all."""
-        return self._plant.force_maps if self._plant.valve.gas is None else ()
-
-    @property
-    def advice(self) -> Advice:
-        """What to record next, in the words of the valve's plant."""
-        return self._plant.advice
+        )  # fmt: skip
 
     def parameter(self, name: str) -> Parameter:
-        """Parameter of any valve's plant, or a damping, which is off where it was."""
+        """Parameter of any valve, or a damping, which is off where it was."""
         effect = name.partition(".")[0]
-        return self._dampings[effect] if effect in self._dampings else self._plant.parameter(name)
+        return self._dampings[effect] if effect in self._dampings else super().parameter(name)
 
     def declared(self, name: str) -> float:
         """The commissioned value."""
         effect = name.partition(".")[0]
-        return self._plant.declared(effect if effect in self._dampings else name)
+        return super().declared(effect if effect in self._dampings else name)
 
-    def predict(self, values: Mapping[str, float]) -> list[Array]:
-        """What the sensors show, by the valve's plant.
-
-        Raises:
-            SimulationError: the simulation could not be carried to its end.
-        """
-        return self._plant.predict(self._plain(values))
-
-    def sensitivities(self, values: Mapping[str, float], directions: Sequence[Direction]) -> Sensitivities:
-        """The derivatives of what `predict` returns, as of any valve's plant.
-
-        Raises:
-            SimulationError: the simulation could not be carried to its end.
-        """
-        plain = self._plain(values)
-        along = [direction._replace(slopes=self._plain_slopes(direction.slopes, plain)) for direction in directions]
-        return self._plant.sensitivities(plain, along)
-
-    def _plain_slopes(self, slopes: Mapping[str, float], plain: Mapping[str, float]) -> dict[str, float]:
-        """Changes of values along a direction, by their plain names."""
-        found = {name: slope for name, slope in slopes.items() if name in plain and name not in self._errors}
-        errors = self._spread @ np.array([slopes.get(name, 0.0) for name in self._errors])
-        for name, error in zip(self._estimated, errors.tolist(), strict=True):
-            slope = slopes.get(f"{name}.{_VALUE}", slopes.get(name, 0.0)) + error
-            if slope and plain[name] > self._plant.parameter(name).lower:
-                found[name] = slope
-        return found
-
-    def _plain(self, values: Mapping[str, float]) -> dict[str, float]:
+    def as_declared(self, values: Mapping[str, float]) -> Mapping[str, float]:
         """Values by their plain names: changed dampings, and the errors of commissioning added."""
         plain = {name: value for name, value in values.items() if name.partition(".")[0] not in self._dampings}
         errors = self._spread @ np.array([plain.pop(name, 0.0) for name in self._errors])
         for name, error in zip(self._estimated, errors.tolist(), strict=True):
-            value = values.get(f"{name}.{_VALUE}", values.get(name, self._plant.declared(name)))
-            plain[name] = max(self._plant.parameter(name).lower, value + error)
+            value = values.get(f"{name}.{_VALUE}", values.get(name, self.declared(name)))
+            plain[name] = max(self.parameter(name).lower, value + error)
         return plain
 
-    def _damping(self, name: str) -> Parameter:
-        known = DECLARED[name]
-        value = self._plant.declared(name)
-        return known._replace(name=_VALUE, off=value, prior_scale=max(value, known.prior_scale))
+    def plain_slopes(self, slopes: Mapping[str, float], values: Mapping[str, float]) -> dict[str, float]:
+        """Changes of values along a direction, by their plain names; of a damping at its bound there is none."""
+        plain = self.as_declared(values)
+        found = {name: slope for name, slope in slopes.items() if name in plain}
+        errors = self._spread @ np.array([slopes.get(name, 0.0) for name in self._errors])
+        for name, error in zip(self._estimated, errors.tolist(), strict=True):
+            slope = slopes.get(f"{name}.{_VALUE}", slopes.get(name, 0.0)) + error
+            if slope and plain[name] > self.parameter(name).lower:
+                found[name] = slope
+        return found
+
+
+def in_service(
+    trace: Trace, commissioned: Commissioned, scatter: float, starts: Mapping[str, Mapping[str, float]] | None = None
+) -> ValvePlant:
+    """A commissioned valve behind some strokes, their motion put back by the lateness; arguments as of the model."""
+    # A leak has changed the pressure behind the valve before its first stroke, so it is estimated along.
+    began = commissioned._replace(valve=with_declared_sensor(as_it_began(commissioned.valve, trace), [trace]))
+    return ValvePlant([replace(trace, outlet_start=None)], CommissionedModel(began, scatter, starts), is_watched=True)

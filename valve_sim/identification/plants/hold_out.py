@@ -7,10 +7,10 @@ turns every fourth stroke is one at 11 V, which a fit to the others has never se
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Final, Protocol, runtime_checkable
+from collections import defaultdict
+from typing import Final
 
-from valve_sim.identification.plants.protocol import Plant, strokes_of_plant
+from valve_sim.identification.plants.protocol import Condition, Plant, strokes_of_plant
 
 EVERY: Final = 4
 """One in so many strokes is held out."""
@@ -19,16 +19,6 @@ SEVERAL: Final = 3
 
 Stroke = tuple[int, int]
 """(recording, group)."""
-Condition = tuple[float, ...]
-"""Numbers by which conditions are equal or not, and are put in order: neighbours are alike."""
-
-
-@runtime_checkable
-class UnderConditions(Protocol):
-    """A plant that knows under which condition each of its strokes was made: an optional member."""
-
-    def condition_of(self, recording: int, group: int) -> Condition:
-        """The condition of a stroke."""
 
 
 def held_out_strokes(plant: Plant) -> frozenset[Stroke]:
@@ -45,25 +35,21 @@ def held_out_strokes(plant: Plant) -> frozenset[Stroke]:
     strokes = strokes_of_plant(plant)
     if len(strokes) < EVERY:
         return frozenset()
-    if not isinstance(plant, UnderConditions):
-        return frozenset(strokes[EVERY - 2 :: EVERY])
-    alike = _by_condition(plant, strokes)
+    found = defaultdict[Condition, list[Stroke]](list)
+    for stroke in strokes:
+        condition = plant.condition_of(*stroke)
+        if condition is None:
+            return frozenset(strokes[EVERY - 2 :: EVERY])
+        found[condition].append(stroke)
+    alike = [found[condition] for condition in sorted(found)]
     repeated = [own for own in alike if len(own) > 1]
     if 2 * sum(map(len, repeated)) < len(strokes):
         ordered = [stroke for own in alike for stroke in own]
         return frozenset(ordered[1:-1][1::EVERY])
     pairs = [own for own in repeated if len(own) < SEVERAL]
-    found = {own[-1] for own in pairs[::2]}
+    held_out = {own[-1] for own in pairs[::2]}
     for own in repeated:
         if len(own) >= SEVERAL:
             count = max(1, round(len(own) / EVERY))
-            found.update(own[(2 * place + 1) * len(own) // (2 * count)] for place in range(count))
-    return frozenset(found)
-
-
-def _by_condition(plant: UnderConditions, strokes: Iterable[Stroke]) -> list[list[Stroke]]:
-    """The strokes of each condition, in their order; conditions in theirs."""
-    found: dict[Condition, list[Stroke]] = {}
-    for stroke in strokes:
-        found.setdefault(plant.condition_of(*stroke), []).append(stroke)
-    return [found[condition] for condition in sorted(found)]
+            held_out.update(own[(2 * place + 1) * len(own) // (2 * count)] for place in range(count))
+    return frozenset(held_out)

@@ -7,11 +7,12 @@ nuisances. Derivatives of all of them come from the same run.
 
 from __future__ import annotations
 
+import itertools
 import math
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +38,7 @@ from valve_sim.model.core.own.units import dimension_words, same
 from valve_sim.model.errors import ParameterError, SimulationError
 from valve_sim.model.parameters import Parameter, closest
 from valve_sim.recordings.columns import Column, Columns
+from valve_sim.recordings.resting_noise import step_of
 
 GROUPS: Final = 8
 """Parts of a recording without windows, of which some are held out."""
@@ -82,6 +84,28 @@ class Run:
     rows: Mapping[str, NDArray[np.int64]]
 
 
+class Number(NamedTuple):
+    """A number of the equations in a run, or where a state starts, and which values of a fit it follows.
+
+    Attributes:
+        name: of it. declared: what it is where the values say nothing.
+        value: the name of the value that takes its place. added: of the one that is added to it; empty: none.
+    """
+
+    name: str
+    declared: float
+    value: str = ""
+    added: str = ""
+
+    def at(self, values: Mapping[str, float]) -> float:
+        """What it is."""
+        return values.get(self.value, self.declared) + values.get(self.added, 0.0)
+
+    def slope(self, slopes: Mapping[str, float]) -> float:
+        """How it moves with the values."""
+        return slopes.get(self.value, 0.0) + slopes.get(self.added, 0.0)
+
+
 class OwnPlant(Plant):
     """A machine of a user's own with its recordings.
 
@@ -99,7 +123,7 @@ class OwnPlant(Plant):
         self._machines: dict[tuple[str, ...], Machine] = {}
         self._lock = threading.Lock()
         self._delaying = {f"{name}.{own}" for name, effect in file.effects.items() for own in effect.delay.values()}
-        self._steps: dict[tuple[int, int], int | None] = {}
+        self._steps: dict[int, int | None] = {}
         for recording in recordings:
             self._check(recording)
         if recordings:
@@ -113,8 +137,16 @@ class OwnPlant(Plant):
             channels += self._channels_of(index, recording)
             self._runs += self._runs_of(index, recording)
         self._channels = tuple(channels)
+        self._starts: list[list[Number]] = [[] for _ in self._runs]
         self._nuisances = (*self._of_machine(), *self._of_starts(), *self._of_columns())
-        self._corrected = frozenset(own.name for own in self._nuisances if own.name.startswith(("gain[", "offset[")))
+        self._corrected = sorted({
+            name for own in recordings for name, column in own.columns.items() if column.gain or column.offset
+        })  # fmt: skip
+        self._numbers = [self._of_run(run) for run in self._runs]
+        self._of_effect = {
+            name: [Number(own, self.declared(own), own) for own in (f"{name}.{one}" for one in effect.parameters)]
+            for name, effect in self.file.effects.items()
+        }
         self._choices = self._effect_choices()
         self.machine(())
 
@@ -236,7 +268,7 @@ class OwnPlant(Plant):
         """The equations with factor and offset of each column whose errors are estimated."""
         outputs, names = dict(equations.outputs), list(equations.parameters)
         driven: dict[str, Expr] = {}
-        for name in sorted({own.partition("].")[2] for own in self._corrected}):
+        for name in self._corrected:
             gain, offset = Expr("name", (), f"{name} gain"), Expr("name", (), f"{name} offset")
             names += [gain.value, offset.value]
             if name in self.file.inputs:
@@ -251,51 +283,38 @@ class OwnPlant(Plant):
 
     def _shown(self, values: Mapping[str, float], directions: Sequence[Direction]) -> tuple[list[Array], list[Array]]:
         """The simulated signal of each channel, and its (n, k) derivatives."""
-        on = {
-            name.partition(".")[0]
-            for name in values
-            if "." in name and not name.startswith(("start[", "gain[", "offset["))
-        }
-        on -= {VALUE.rstrip(".")}
+        on = {name.partition(".")[0] for name in values if "." in name} - {VALUE.rstrip(".")}
         effects = tuple(name for name in self.file.effects if name in on)
         machine, delays = self.machine(effects), self._delays(values, effects)
-        outputs = list(self.file.outputs)
-        full: dict[tuple[int, str], Array] = {}
-        slopes: dict[tuple[int, str], Array] = {}
-        count = len(directions)
-        for index, recording in enumerate(self.recordings):
-            for name in outputs:
-                if name in recording.columns:
-                    full[index, name] = np.zeros(len(recording[name].times))
-                    slopes[index, name] = np.zeros((len(recording[name].times), count))
-        for run in self._runs:
-            numbers = self._numbers(run, values, effects)
-            start = self._start(run, values)
-            own = [self._direction(run, direction, effects) for direction in directions]
+        found = {
+            (index, name): np.zeros((len(self.recordings[index][name].times), 1 + len(directions)))
+            for index, name in self._of_channel
+        }
+        added = [self._of_effect[name] for name in effects]
+        for place, (run, starts) in enumerate(zip(self._runs, self._starts, strict=True)):
+            of_machine = [*self._numbers[place], *itertools.chain.from_iterable(added)]
+            numbers, start = ({one.name: one.at(values) for one in table} for table in (of_machine, starts))
+            own = [
+                {one.name: by for one in (*of_machine, *starts) if (by := one.slope(direction.slopes))}
+                for direction in directions
+            ]
             acting = [k for k, one in enumerate(own) if one]
             inputs = delayed(run.inputs, [delays.get(name, 0.0) for name in self.file.inputs])
             samples, rows_of = late(run, delays)
             try:
                 shown, changes, *_ = machine.run(
-                    numbers, start, inputs, samples, [own[k] for k in acting], run.start, self._most(run)
+                    numbers, start, inputs, samples, [own[k] for k in acting], run.start, self._most(place)
                 )
             except SimulationError as error:
                 raise SimulationError(f"{self.file.path}: {self.recordings[run.recording].source}: {error}") from error
-            for place, name in enumerate(outputs):
-                key = run.recording, name
-                if key not in full:
-                    continue
-                rows = rows_of[name]
-                into = self._samples_of(run, name)
-                full[key][into] = shown[rows, place]
-                for k, column in enumerate(acting):
-                    slopes[key][into, column] = changes[rows, place, k]
-        found, columns = [], []
-        for index, name in self._of_channel:
-            measured = self.recordings[index][name]
-            found.append(measured.filtered(full[index, name]))
-            columns.append(measured.filtered(slopes[index, name]))
-        return found, columns
+            columns = [0, *(1 + k for k in acting)]
+            for output, name in enumerate(self.file.outputs):
+                if (run.recording, name) in found:
+                    rows, into = rows_of[name], self._samples_of(run, name)
+                    seen = np.column_stack([shown[rows, output], changes[rows, output]])
+                    found[run.recording, name][into, columns] = seen
+        whole = [self.recordings[index][name].filtered(found[index, name]) for index, name in self._of_channel]
+        return [own[:, 0] for own in whole], [own[:, 1:] for own in whole]
 
     def _delays(self, values: Mapping[str, float], effects: Sequence[str]) -> dict[str, float]:
         """S by which inputs act and outputs show late, by name, where they do."""
@@ -312,23 +331,22 @@ class OwnPlant(Plant):
         ends += [effect.parameters[own].upper for effect in self.file.effects.values() for own in effect.delay.values()]
         return math.fsum(ends)
 
-    def _most(self, run: Run) -> int | None:
+    def _most(self, place: int) -> int | None:
         """How many steps a run may take; None: the declared machine itself cannot be simulated.
 
         A fit may come to values that make a machine turn thousands of times between two samples, such as ripples a
         hundredth as long as they are. One such run takes as long as a whole fit.
         """
-        key = run.recording, run.window
-        if key not in self._steps:
+        if place not in self._steps:
+            run = self._runs[place]
+            numbers, start = ({own.name: own.declared for own in of[place]} for of in (self._numbers, self._starts))
             beside = STEPS_LEAST + STEPS_BESIDE * (len(run.samples) + len(run.inputs.times))
             try:
-                declared = self.machine(()).run(
-                    self._numbers(run, {}, ()), self._start(run, {}), run.inputs, run.samples, start_time=run.start
-                )
-                self._steps[key] = TIMES_STEPS * declared.steps + beside
+                declared = self.machine(()).run(numbers, start, run.inputs, run.samples, start_time=run.start)
+                self._steps[place] = TIMES_STEPS * declared.steps + beside
             except SimulationError:
-                self._steps[key] = None
-        return self._steps[key]
+                self._steps[place] = None
+        return self._steps[place]
 
     def _samples_of(self, run: Run, name: str) -> slice:
         times = self.recordings[run.recording][name].times
@@ -338,55 +356,13 @@ class OwnPlant(Plant):
         first = int(np.searchsorted(times, own[0]))
         return slice(first, first + len(own))
 
-    def _numbers(self, run: Run, values: Mapping[str, float], effects: Sequence[str]) -> dict[str, float]:
-        """All numbers of the equations, for one run."""
-        found = {}
-        for name, entry in self.file.parameters.items():
-            found[name] = values.get(name, entry.value) + values.get(f"{name}[{run.recording}]", 0.0)
-        for effect in effects:
-            for name in self.file.effects[effect].parameters:
-                full = f"{effect}.{name}"
-                found[full] = values.get(full, self.declared(full))
-        for own in self._corrected:
-            kind, _, name = own.partition("].")
-            what = kind.partition("[")[0]
-            found.setdefault(f"{name} {what}", 1.0 if what == "gain" else 0.0)
-            found.setdefault(f"{name} {'offset' if what == 'gain' else 'gain'}", 0.0 if what == "gain" else 1.0)
-            if kind == f"{what}[{run.recording}":
-                found[f"{name} {what}"] = values.get(own, 0.0) + (1.0 if what == "gain" else 0.0)
-        return found
-
-    def _start(self, run: Run, values: Mapping[str, float]) -> dict[str, float]:
-        found = {}
-        for name, entry in self.file.states.items():
-            key = _start_name(run, name)
-            found[name] = values.get(key, self._means.get(key, 0.0)) if key in self._means else entry.start or 0.0
-        return found
-
-    def _direction(self, run: Run, direction: Direction, effects: Sequence[str]) -> dict[str, float]:
-        """What changes in one run along a direction, by the names of the integrator."""
-        found: dict[str, float] = {}
-
-        def put(name: str, by: float) -> None:
-            if by:
-                found[name] = found.get(name, 0.0) + by
-
-        for name, by in direction.slopes.items():
-            if name in self.file.parameters or name.partition(".")[0] in effects:
-                put(name, by)
-            elif name in self._corrected:
-                kind, _, own = name.partition("].")
-                what, _, recording = kind.partition("[")
-                if int(recording) == run.recording:
-                    put(f"{own} {what}", by)
-            elif name.startswith("start["):
-                where, _, state = name.partition("].")
-                if where == _start_name(run, state).partition("].")[0]:
-                    put(state, by)
-            else:
-                own, _, recording = name.removesuffix("]").partition("[")
-                if own in self.file.parameters and recording == str(run.recording):
-                    put(own, by)
+    def _of_run(self, run: Run) -> list[Number]:
+        """The numbers of the equations without effects."""
+        index = run.recording
+        found = [Number(name, own.value, name, f"{name}[{index}]") for name, own in self.file.parameters.items()]
+        for name in self._corrected:
+            found.append(Number(f"{name} gain", 1.0, added=f"gain[{index}].{name}"))
+            found.append(Number(f"{name} offset", 0.0, added=f"offset[{index}].{name}"))
         return found
 
     # -- the recordings ------------------------------------------------------------------------------------------------
@@ -564,18 +540,18 @@ class OwnPlant(Plant):
         return tuple(place for place, (recording, _) in enumerate(self._of_channel) if recording == index)
 
     def _of_starts(self) -> list[Nuisance]:
-        self._means: dict[str, float] = {}
         is_windowed = not math.isinf(self.file.window)
         found = []
-        for run in self._runs:
+        for run, starts in zip(self._runs, self._starts, strict=True):
             channels = self._channels_in(run.recording)
             stretch = (float(run.samples[0]) - 1e-9, float(run.samples[-1]) + 1e-9)
             for name, entry in self.file.states.items():
                 if entry.start is not None and not is_windowed:
+                    starts.append(Number(name, entry.start))
                     continue
                 mean, sigma = self._first(run, name)
-                key = _start_name(run, name)
-                self._means[key] = mean
+                key = f"start[{run.recording},{run.window}].{name}"
+                starts.append(Number(name, mean, key))
                 during = stretch if is_windowed else (-math.inf, math.inf)
                 found.append(Nuisance(key, sigma, entry.unit.si, channels, during, step=1e-3 * sigma, mean=mean))
         return found
@@ -748,10 +724,6 @@ def _compared_with(expression: Expr, name: str) -> list[str]:
     return found + [one for own in expression.args for one in _compared_with(own, name)]
 
 
-def _start_name(run: Run, state: str) -> str:
-    return f"start[{run.recording},{run.window}].{state}"
-
-
 def _between(inputs: Inputs, first: float, last: float) -> Inputs:
     """The inputs from one time to another, with what is needed on either side."""
     if not len(inputs.times):
@@ -784,11 +756,9 @@ def quiet_samples(times: Array, data: Array, inputs: Sequence[Column]) -> NDArra
     early = (total[first + half] - total[first]) / half
     late = (total[first + QUIET] - total[first + half]) / half
     spread = np.array([np.ptp(data[i : i + QUIET]) for i in first])
-    steps = np.abs(np.diff(np.unique(data)))
-    quantum = float(np.min(steps, initial=math.inf)) if len(steps) < len(data) // 2 else 0.0
-    quantum = quantum if math.isfinite(quantum) else 0.0
-    still = np.abs(late - early) <= STANDS * noise * math.sqrt(2.0 / half) + 0.5 * quantum
-    still &= spread <= max(12.0 * noise, 2.0 * quantum) + 1e-15
+    step = step_of(data)
+    still = np.abs(late - early) <= STANDS * noise * math.sqrt(2.0 / half) + 0.5 * step
+    still &= spread <= max(12.0 * noise, 2.0 * step) + 1e-15
     for column in inputs:
         own = np.interp(times, column.times, column.readings)
         size, whole = _noise_between_neighbours(own, first), float(np.ptp(own))

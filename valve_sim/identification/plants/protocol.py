@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final, Literal, NamedTuple, Protocol, runtime_checkable
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,8 @@ READABLE_UNITS: Final = {"m": (1e6, "µm"), "A": (1e3, "mA"), "Pa": (1e-3, "kPa"
 """SI unit to factor and name of the display unit."""
 KEY_OF_UNIT: Final = {"µm": "um", "mA": "ma", "kPa": "kpa"}
 """Display unit to what a name in JSON ends with: rmse_um."""
+Condition = tuple[float, ...]
+"""Numbers by which conditions of strokes are equal or not, and are put in order: neighbours are alike."""
 Role = Literal["response", "actuation"]
 """What a channel shows: the machine's response, by which models are judged, or the actuator that drives it.
 
@@ -39,7 +41,7 @@ An actuator's form may be one that no effect explains, so it is believed only as
 SENSOR_ERRORS: Final = ("zero", "drift", "hum", "scale", "bend", "ringing", "ringing_scatter")
 """Names of the errors that add something to what a sensor shows, by which `Sensor.shares` has them."""
 MACHINE_ERRORS: Final = ("supply", "stroke_variation")
-"""Names of the errors that act on the machine, which `HasSensors.varying` may be parts of."""
+"""Names of the errors that act on the machine, which `Plant.varying` may be parts of."""
 
 
 class Nuisance(NamedTuple):
@@ -250,12 +252,12 @@ class Sensitivities(NamedTuple):
     Attributes:
         columns: for each channel (n, k): along k directions; none where nothing is known.
         known: (k,) where they are known; what stands in other columns means nothing.
-        shown: for each channel what `predict` returns; None where nothing is known.
+        shown: for each channel what `predict` returns; none where nothing is known.
     """
 
     columns: list[Array]
     known: NDArray[np.bool_]
-    shown: list[Array] | None = None
+    shown: Sequence[Array] = ()
 
 
 class Piece(NamedTuple):
@@ -275,109 +277,6 @@ class Piece(NamedTuple):
     def samples(self) -> slice:
         """Indices of these samples in the channel."""
         return slice(self.start, self.start + len(self.shown))
-
-
-class Plant(Protocol):
-    """A machine with its measured data.
-
-    A plant that inherits from this class states what it has, by properties; of what it does not state it has nothing.
-    """
-
-    @property
-    def channels(self) -> Sequence[Channel]:
-        """The measured channels."""
-
-    @property
-    def base(self) -> Sequence[str]:
-        """The parameters that are refitted before any effect is claimed."""
-        return ()
-
-    @property
-    def nuisances(self) -> Sequence[Nuisance]:
-        """Always estimated: clock offsets, and declared values with a tolerance."""
-        return ()
-
-    @property
-    def timing_errors(self) -> Sequence[Nuisance]:
-        """Estimated where the data ask for it: errors of each command's stamp."""
-        return ()
-
-    @property
-    def effects(self) -> Mapping[str, EffectChoice]:
-        """The effects that may be missing, by name."""
-
-    @property
-    def force_maps(self) -> Sequence[ForceMap]:
-        """Curves that stand for what no named effect explains."""
-        return ()
-
-    @property
-    def experiments(self) -> Sequence[Experiment]:
-        """Recordings that could be made next, where the plant knows any."""
-        return ()
-
-    def parameter(self, name: str) -> Parameter:
-        """Unit and range of anything that can be freed."""
-
-    def declared(self, name: str) -> float:
-        """The declared value of a parameter, or the value at which an effect's parameter changes nothing."""
-
-    def predict(self, values: Mapping[str, float]) -> list[Array]:
-        """What each channel would show. Called from several threads at once, so it keeps nothing between calls.
-
-        Args:
-            values: freed parameters and nuisances by name; the rest is as declared. Effects that appear are on.
-        """
-
-
-def finite_prediction(plant: Plant, values: Mapping[str, float]) -> list[Array]:
-    """What a plant predicts with these values.
-
-    Raises:
-        SimulationError: the machine cannot be simulated with them, or shows something that is not finite.
-    """
-    try:
-        shown = plant.predict(values)
-    except ArithmeticError as error:
-        raise SimulationError(f"{plant.channels[0].name}: the model has no result: {error}") from error
-    for column, channel in zip(shown, plant.channels, strict=True):
-        if not np.all(np.isfinite(column)):
-            raise SimulationError(f"{channel.name}: the model shows something that is not finite")
-    return list(shown)
-
-
-@runtime_checkable
-class Differentiable(Protocol):
-    """A plant that knows derivatives of its predictions without difference quotients: an optional member."""
-
-    def sensitivities(self, values: Mapping[str, float], directions: Sequence[Direction]) -> Sensitivities:
-        """The derivatives of what `predict` returns.
-
-        Args:
-            values: as of `predict`; every name of a direction is among them.
-            directions: at least one.
-
-        Raises:
-            SimulationError: the machine cannot be simulated with these values.
-        """
-
-
-@runtime_checkable
-class InPieces(Protocol):
-    """A plant whose predictions can be had piece by piece, so that long recordings fit in memory: an optional member.
-
-    Each sample of each channel is in one piece, and the pieces of a channel come in order.
-    """
-
-    def pieces(self, values: Mapping[str, float], directions: Sequence[Direction]) -> Iterator[Piece] | None:
-        """What `predict` and `sensitivities` return; None where derivatives along one of the directions are not known.
-
-        Args:
-            values, directions: as of `sensitivities`; without directions no derivative is asked for.
-
-        Raises:
-            SimulationError: the machine cannot be simulated with these values; also while iterating.
-        """
 
 
 class Contacts(NamedTuple):
@@ -422,13 +321,47 @@ class Sensor(NamedTuple):
     is_true_at_rest: bool = True
 
 
-@runtime_checkable
-class HasSensors(Protocol):
-    """A plant whose recordings err: sensors that drift, hum, bend and ring, and a machine that varies.
+class Advice(NamedTuple):
+    """What a plant's owner should record next, in whole sentences without the full stop.
 
-    The two members come together, or neither is there. What they say is part of every hypothesis, with sizes that are
-    learned, and `predict` shows nothing of the sensors' errors.
+    Attributes:
+        ambiguous: why one stroke cannot tell effects apart. first: after a single stroke. more: after several.
     """
+
+    ambiguous: str
+    first: str
+    more: str
+
+
+GENERIC_ADVICE: Final = Advice(
+    "one stroke cannot tell an effect from what is refitted anyway",
+    "Record next: at least eight strokes under different conditions, in one recording",
+    "Record next: strokes under conditions not used yet",
+)
+
+
+class Plant:
+    """A machine with its measured data: what it inherits from here it has nothing of, and of the rest it states it."""
+
+    @property
+    def channels(self) -> Sequence[Channel]:
+        """The measured channels."""
+        raise NotImplementedError
+
+    @property
+    def base(self) -> Sequence[str]:
+        """The parameters that are refitted before any effect is claimed."""
+        return ()
+
+    @property
+    def nuisances(self) -> Sequence[Nuisance]:
+        """Always estimated: clock offsets, and declared values with a tolerance."""
+        return ()
+
+    @property
+    def timing_errors(self) -> Sequence[Nuisance]:
+        """Estimated where the data ask for it: errors of each command's stamp."""
+        return ()
 
     @property
     def varying(self) -> Sequence[Nuisance]:
@@ -437,9 +370,92 @@ class HasSensors(Protocol):
         Each has an `error` of `MACHINE_ERRORS` and a `group`; `predict` takes their values by name. Those of
         parameters that differ from stroke to stroke are what `variation.group_variations` returns.
         """
+        return ()
+
+    @property
+    def effects(self) -> Mapping[str, EffectChoice]:
+        """The effects that may be missing, by name."""
+        return {}
+
+    @property
+    def force_maps(self) -> Sequence[ForceMap]:
+        """Curves that stand for what no named effect explains."""
+        return ()
+
+    @property
+    def experiments(self) -> Sequence[Experiment]:
+        """Recordings that could be made next, where the plant knows any."""
+        return ()
+
+    @property
+    def advice(self) -> Advice:
+        """What its owner should record next."""
+        return GENERIC_ADVICE
+
+    @property
+    def short_step(self) -> float | None:
+        """Step of a difference quotient to try before the usual one, in prior scales; None: the usual one serves."""
+        return None
+
+    def parameter(self, name: str) -> Parameter:
+        """Unit and range of anything that can be freed."""
+        raise NotImplementedError
+
+    def declared(self, name: str) -> float:
+        """The declared value of a parameter, or the value at which an effect's parameter changes nothing."""
+        raise NotImplementedError
+
+    def predict(self, values: Mapping[str, float]) -> list[Array]:
+        """What each channel would show. Called from several threads at once, so it keeps nothing between calls.
+
+        Args:
+            values: freed parameters and nuisances by name; the rest is as declared. Effects that appear are on.
+        """
+        raise NotImplementedError
+
+    def sensitivities(self, values: Mapping[str, float], directions: Sequence[Direction]) -> Sensitivities:
+        """The derivatives of what `predict` returns, as far as they are known without difference quotients.
+
+        Args:
+            values: as of `predict`; every name of a direction is among them.
+            directions: at least one.
+
+        Raises:
+            SimulationError: the machine cannot be simulated with these values.
+        """
+        return Sensitivities([], np.zeros(len(directions), dtype=bool))
+
+    @property
+    def comes_in_pieces(self) -> bool:
+        """Whether predictions can be had piece by piece, so that long recordings fit in memory."""
+        return False
+
+    def pieces(self, values: Mapping[str, float], directions: Sequence[Direction]) -> Iterator[Piece] | None:
+        """What `predict` and `sensitivities` return; None where derivatives along one of the directions are not known.
+
+        Each sample of each channel is in one piece, and the pieces of a channel come in order.
+
+        Args:
+            values, directions: as of `sensitivities`; without directions no derivative is asked for.
+
+        Raises:
+            SimulationError: the machine cannot be simulated with these values; also while iterating.
+        """
+        return None
+
+    @property
+    def can_be_thinned(self) -> bool:
+        """Whether `thinned` takes less time, and what it shows of a sample is the same whichever others it shows."""
+        return False
+
+    def thinned(self, kept: Sequence[NDArray[np.intp]]) -> Plant:
+        """This plant with some samples of each channel, of which the first is one."""
+        raise NotImplementedError
 
     def sensors(self, values: Mapping[str, float]) -> Mapping[int, Sensor]:
-        """The sensors, by the index of their channel; of channels that are not among them nothing errs.
+        """The sensors that err, by the index of their channel; `predict` shows nothing of their errors.
+
+        What they say is part of every hypothesis, with sizes that are learned.
 
         Args:
             values: as of `predict`: they say when parts meet.
@@ -447,45 +463,31 @@ class HasSensors(Protocol):
         Raises:
             SimulationError: the machine cannot be simulated with these values.
         """
-
-
-@runtime_checkable
-class Changing(Protocol):
-    """A plant whose effects may change from stroke to stroke: an optional member."""
+        return {}
 
     def changing(self, effect: str) -> Sequence[Nuisance]:
-        """How much parameters of an effect differ in each stroke, as of `HasSensors.varying`; none where not known."""
+        """How much parameters of an effect differ in each stroke, as of `varying`; none where not known."""
+        return ()
+
+    def condition_of(self, recording: int, group: int) -> Condition | None:
+        """The condition under which a stroke was made; None where that is not known."""
+        return None
 
 
-def varying_of(plant: Plant) -> Sequence[Nuisance]:
-    """Errors of its recordings that act on the machine; of most plants there are none."""
-    return plant.varying if isinstance(plant, HasSensors) else ()
+def finite_prediction(plant: Plant, values: Mapping[str, float]) -> list[Array]:
+    """What a plant predicts with these values.
 
-
-@runtime_checkable
-class Thinnable(Plant, Protocol):
-    """A plant that can show some of its samples and take less time for it: an optional member."""
-
-    @property
-    def can_be_thinned(self) -> bool:
-        """Whether what it shows of a sample is the same whichever others it shows."""
-
-    def thinned(self, kept: Sequence[NDArray[np.intp]]) -> Plant:
-        """This plant with some samples of each channel, of which the first is one."""
-
-
-@runtime_checkable
-class ShortSteps(Protocol):
-    """A plant whose derivatives change within the usual step of a difference quotient: an optional member."""
-
-    @property
-    def short_step(self) -> float | None:
-        """Step to try before the usual one, in prior scales; None: the usual one serves."""
-
-
-def short_step_of(plant: Plant) -> float | None:
-    """Its short step, which only valves with gas have."""
-    return plant.short_step if isinstance(plant, ShortSteps) else None
+    Raises:
+        SimulationError: the machine cannot be simulated with them, or shows something that is not finite.
+    """
+    try:
+        shown = plant.predict(values)
+    except ArithmeticError as error:
+        raise SimulationError(f"{plant.channels[0].name}: the model has no result: {error}") from error
+    for column, channel in zip(shown, plant.channels, strict=True):
+        if not np.all(np.isfinite(column)):
+            raise SimulationError(f"{channel.name}: the model shows something that is not finite")
+    return list(shown)
 
 
 def _is_logarithmic(parameter: Parameter) -> bool:
@@ -561,28 +563,3 @@ def is_two_sided(parameter: Parameter) -> bool:
     """Whether a parameter may lie on either side of where it changes nothing."""
     lower, upper = internal_bounds(parameter)
     return parameter.off is not None and lower < to_internal(parameter, parameter.off) < upper
-
-
-class Advice(NamedTuple):
-    """What a plant's owner should record next, in whole sentences without the full stop.
-
-    Attributes:
-        ambiguous: why one stroke cannot tell effects apart. first: after a single stroke. more: after several.
-    """
-
-    ambiguous: str
-    first: str
-    more: str
-
-
-GENERIC_ADVICE: Final = Advice(
-    "one stroke cannot tell an effect from what is refitted anyway",
-    "Record next: at least eight strokes under different conditions, in one recording",
-    "Record next: strokes under conditions not used yet",
-)
-
-
-def advice_of(plant: Plant) -> Advice:
-    """The plant's own `advice`, an optional member, or general advice for any machine."""
-    found = getattr(plant, "advice", GENERIC_ADVICE)
-    return found if isinstance(found, Advice) else GENERIC_ADVICE

@@ -14,7 +14,7 @@ while the driver is on.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -141,49 +141,6 @@ def clock_rate(index: int, channels: Channels) -> Nuisance:
     return Nuisance(f"clock_rate[{index}]", RATE_SIGMA, "–", channels, step=1e-7, error="clock_rate")
 
 
-def drive_with(trace: Trace, index: int, values: Mapping[str, float], valve: Valve) -> Drive:
-    """The voltage as it took effect, by the values of the nuisances.
-
-    Args:
-        trace: the recording. index: of it. values: of nuisances, by name.
-        valve: as declared; of one that freewheels a measured voltage is not used while the command is 0.
-    """
-    commands = _commands_with(trace, index, values)
-    sag = sag_with(valve, index, values)
-    if sag:
-        commands = Drive(commands.times, commands.volts / (1.0 + sag))
-    measured = trace.measured_input
-    if measured is None:
-        return commands
-    return measured.drive(commands, lateness_with(index, values), freewheels=valve.parameters.release_voltage > 0.0)
-
-
-def _commands_with(trace: Trace, index: int, values: Mapping[str, float]) -> Drive:
-    """The commands as they took effect."""
-    drive = trace.drive
-    late = np.array([values.get(f"command_error[{index},{command}]", 0.0) for command in range(len(drive.times))])
-    volts = drive.volts
-    if trace.drive_errors is not None:
-        _, first, which = np.unique(volts, return_index=True, return_inverse=True)
-        volts = volts + np.array([values.get(f"voltage_error[{index},{command}]", 0.0) for command in first])[which]
-    rate = values.get(f"clock_rate[{index}]", 0.0)
-    if rate:
-        late = late - rate * (drive.times - trace.sample_times[0])
-    if not np.any(late):
-        return Drive(drive.times, volts)
-    return Drive(np.maximum.accumulate(drive.times + late), volts)
-
-
-def zero_with(index: int, values: Mapping[str, float]) -> float:
-    """Reading of the position sensor for a closed valve, m."""
-    return values.get(f"position_zero[{index}]", 0.0)
-
-
-def lateness_with(index: int, values: Mapping[str, float]) -> float:
-    """Delay of the stamps of a recording's samples, s."""
-    return values.get(f"clock_offset[{index}]", 0.0)
-
-
 def is_of_recording(name: str) -> bool:
     """Whether a value is one of those above, which no valve's record depends on."""
     return name.startswith(_NAMES)
@@ -235,31 +192,80 @@ def supply_errors(trace: Trace, index: int, channels: tuple[int, ...]) -> list[N
     ]  # fmt: skip
 
 
-def sag_with(valve: Valve, index: int, values: Mapping[str, float]) -> float:
-    """q: the source's resistance over the coil's."""
-    return values.get(f"{SUPPLY}[{index}]", 0.0) / valve.parameters.coil_resistance
-
-
-class IntervalFactors:
-    """What differs of a valve by interval between the commands of a recording.
+class Recording:
+    """What the values of a recording's errors make of its commands, its stamps, and the valve's numbers by interval.
 
     Args:
-        valve: as declared. trace: the recording. index: of it.
+        trace: the recording. index: of it.
+        valve: as declared; of one that freewheels a measured voltage is not used while the command is 0.
+
+    Attributes:
+        trace: as given.
     """
 
-    def __init__(self, valve: Valve, trace: Trace, index: int) -> None:
-        drive = trace.drive
+    def __init__(self, trace: Trace, index: int, valve: Valve) -> None:
+        self.trace, drive = trace, trace.drive
+        _, first, which = np.unique(drive.volts, return_index=True, return_inverse=True)
+        levels = [] if trace.drive_errors is None else first[which].tolist()
+        self._stamps = [f"command_error[{index},{command}]" for command in range(len(drive.times))]
+        self._levels = [f"voltage_error[{index},{command}]" for command in levels]
+        self._offset, self._rate, self._zero, self._supply = (
+            f"{name}[{index}]" for name in ("clock_offset", "clock_rate", "position_zero", SUPPLY)
+        )
+        self._begins = f"{VARIATION}[{index},"
+        self._measured, self._freewheels = trace.measured_input, valve.parameters.release_voltage > 0.0
+        clock = () if self._measured is None else (self._offset,)
+        self._of_drive = frozenset((self._rate, self._supply, *self._stamps, *self._levels, *clock))
+        self._resistance = valve.parameters.coil_resistance
         strokes = np.searchsorted(stroke_starts(drive), np.arange(len(drive.times)), side="right") - 1
         self._strokes = np.concatenate([[-1], strokes])
         self._is_on = np.concatenate([[False], drive.volts != 0.0])
-        self._supply, self._resistance = f"{SUPPLY}[{index}]", valve.parameters.coil_resistance
-        self._begins = f"{VARIATION}[{index},"
+
+    def lateness(self, values: Mapping[str, float]) -> float:
+        """Delay of the stamps of its samples, s; argument as of `factors`."""
+        return values.get(self._offset, 0.0)
+
+    def zero(self, values: Mapping[str, float]) -> float:
+        """Reading of the position sensor for a closed valve, m; argument as of `factors`."""
+        return values.get(self._zero, 0.0)
+
+    def drive(self, values: Mapping[str, float]) -> Drive:
+        """The voltage as it took effect; argument as of `factors`."""
+        commands = self._commands(values)
+        sag = values.get(self._supply, 0.0) / self._resistance
+        if sag:
+            commands = Drive(commands.times, commands.volts / (1.0 + sag))
+        if self._measured is None:
+            return commands
+        return self._measured.drive(commands, self.lateness(values), freewheels=self._freewheels)
+
+    def _commands(self, values: Mapping[str, float]) -> Drive:
+        """The commands as they took effect."""
+        drive = self.trace.drive
+        late = np.array([values.get(name, 0.0) for name in self._stamps])
+        volts = drive.volts
+        if self._levels:
+            volts = volts + np.array([values.get(name, 0.0) for name in self._levels])
+        rate = values.get(self._rate, 0.0)
+        if rate:
+            late = late - rate * (drive.times - self.trace.sample_times[0])
+        if not np.any(late):
+            return Drive(drive.times, volts)
+        return Drive(np.maximum.accumulate(drive.times + late), volts)
+
+    def is_driven_by(self, names: Iterable[str]) -> bool:
+        """Whether its voltage depends on one of these values."""
+        return not self._of_drive.isdisjoint(names)
+
+    def varies_with(self, names: Iterable[str]) -> bool:
+        """Whether numbers of the valve differ by interval with one of these values."""
+        return any(name == self._supply or name.startswith(self._begins) for name in names)
 
     def fields(self, values: Mapping[str, float]) -> tuple[str, ...]:
-        """The numbers that have factors; argument as of `of`."""
+        """The numbers that have factors; argument as of `factors`."""
         return tuple(dict.fromkeys((*FIELDS, *(varies_in(name) for name in self._own(values)))))
 
-    def of(self, values: Mapping[str, float]) -> Array | None:
+    def factors(self, values: Mapping[str, float]) -> Array | None:
         """(c + 1, f) factors of `fields` before the first command and after each; None where nothing differs.
 
         Args:

@@ -14,48 +14,42 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.files.channels import SIGNALS
-from valve_sim.identification.plants.hold_out import Condition
 from valve_sim.identification.plants.protocol import (
     NO_CONTACTS,
     Advice,
     Array,
     Channel,
+    Condition,
     Direction,
     EffectChoice,
     Experiment,
     ForceMap,
     Nuisance,
     Piece,
+    Plant,
     Sensitivities,
     Sensor,
 )
 from valve_sim.identification.plants.recording_errors import (
-    IntervalFactors,
+    Recording,
     changing,
     clock_offset,
     clock_rate,
-    drive_with,
-    lateness_with,
     reading_errors,
     stamp_errors,
     supply_errors,
     variations,
     varying_numbers,
-    zero_with,
 )
 from valve_sim.identification.plants.stroke_choice import Kind, stroke_kinds
 from valve_sim.identification.plants.valve_model import ValveModel
-from valve_sim.identification.plants.valve_pieces import Intervals, run_in_pieces, whole_run
-from valve_sim.identification.plants.valve_sensitivities import pieces, sensitivities
+from valve_sim.identification.plants.valve_sensitivities import MovingValve, moving_valve, shown
 from valve_sim.identification.plants.valve_sensors import (
     NO_TIMES,
-    amperes,
-    averaged,
     channels_of,
     contacts,
     fastest_motion,
     followed,
-    predicted,
     with_declared_sensor,
     with_usable_current,
     without_pressure,
@@ -64,8 +58,6 @@ from valve_sim.model import CATALOGUE, Drive, Parameter, Tag, Valve
 from valve_sim.model.effects import FORCE_MAP_COEFFICIENTS, FORCE_MAP_VARIABLES, is_damping
 from valve_sim.recordings import Signal, Trace
 
-DAMPINGS: Final = ("pilot_damping", "main_damping")
-"""Declared values that every fit frees, because they are not known beforehand; see `dampings_of`."""
 LOWEST_LEVEL, HIGHEST_LEVEL = 7.5 / 9.0, 14.0 / 9.0
 """Shares of the reference voltage: the range in which such a valve is driven, 7.5 to 14 V where it is 9 V."""
 PULSE_LEVELS: Final = (LOWEST_LEVEL, 1.0, 11.0 / 9.0, HIGHEST_LEVEL)
@@ -86,11 +78,6 @@ OF_CURRENT: Final[Mapping[str, float]] = {"zero": 2e-3, "scale": 5e-3}
 sensor: a clamp or a shunt is good for 0.5 % and 2 mA of 1 A."""
 
 
-def dampings_of(valve: Valve) -> tuple[str, ...]:
-    """The names of the dampings that a valve uses: one plunger has no Phase 1."""
-    return DAMPINGS[1:] if valve.parameters.has_one_plunger else DAMPINGS
-
-
 def volts_at(valve: Valve, levels: Sequence[float], driven: float = math.inf) -> tuple[float, ...]:
     """Voltages at these shares of a valve's reference voltage, V, rounded to 10 mV.
 
@@ -107,12 +94,12 @@ def volts_at(valve: Valve, levels: Sequence[float], driven: float = math.inf) ->
     return tuple(round(own, 2) for own in volts)
 
 
-class ValvePlant:
+class ValvePlant(Plant):
     """The valve behind one or more traces.
 
     Args:
         traces: the measured data; each has its own clock offset.
-        valve: the declared valve; effects that it has on already stay on as they are, unless freed.
+        valve: the declared valve, whose effects stay on as they are, unless freed; or what is known of its values.
         is_watched: whether the traces are strokes of a valve that is watched, or rows of them. Errors of the recordings
             are then what differs from stroke to stroke, by sizes that are the same in all traces: drift and hum of the
             sensor, and what varies of the valve. The sensor's curve, its mount and the source are as they always were.
@@ -121,13 +108,18 @@ class ValvePlant:
         ParameterError: the traces declare other bandwidths of the position sensor than each other or the valve.
     """
 
-    def __init__(self, traces: Sequence[Trace], valve: Valve, *, is_watched: bool = False) -> None:
+    def __init__(self, traces: Sequence[Trace], valve: Valve | ValveModel, *, is_watched: bool = False) -> None:
         self._is_watched = is_watched
-        jumps = valve.parameters.coil_time_constant == 0.0 or "motional_emf" in valve.effects
-        known = [trace if valve.gas is not None else without_pressure(trace) for trace in traces]
-        self.traces = tuple(with_usable_current(trace, jumps=jumps) for trace in known)
-        self._model = ValveModel(with_declared_sensor(valve, traces), dampings_of(valve))
+        known = valve if isinstance(valve, ValveModel) else ValveModel(with_declared_sensor(valve, traces))
+        self._model = known
+        self.traces = tuple(map(self._usable, traces))
         self._channels = [channel for index, trace in enumerate(self.traces) for channel in channels_of(index, trace)]
+        self._recordings = self._recorded_errors()
+
+    def _usable(self, trace: Trace) -> Trace:
+        """What a recording holds that the valve explains."""
+        jumps = self.valve.parameters.coil_time_constant == 0.0 or "motional_emf" in self.valve.effects
+        return with_usable_current(trace if self.valve.gas is not None else without_pressure(trace), jumps=jumps)
 
     @property
     def valve(self) -> Valve:
@@ -146,23 +138,30 @@ class ValvePlant:
 
     @property
     def base(self) -> Sequence[str]:
-        """The dampings that the valve uses."""
-        return dampings_of(self.valve)
+        """The dampings that the valve uses, but of one that was commissioned."""
+        return self._model.refitted
 
     @functools.cached_property
     def nuisances(self) -> Sequence[Nuisance]:
         """A clock offset for each trace; errors of commands that were read from a voltage, and of a sensor's zero.
 
-        After them the declared values that have a tolerance: of the valve, and so the same in each trace.
+        After them the declared values that have a tolerance: of the valve, and so the same in each trace. Of a
+        commissioned valve an error for each command's stamp, and what commissioning has left open.
         """
+        if (scatter := self._model.scatter) is not None:
+            return (*(stamp._replace(sigma=scatter) for stamp in self._stamps), *self._model.nuisances)
         traces = [(trace, index, self._channels_of(index)) for index, trace in enumerate(self.traces)]
         offsets = [own(index, channels) for _, index, channels in traces for own in (clock_offset, clock_rate)]
         readings = (nuisance for of_trace in traces for nuisance in reading_errors(*of_trace))
         return (*offsets, *readings, *self._model.nuisances)
 
-    @functools.cached_property
+    @property
     def timing_errors(self) -> Sequence[Nuisance]:
         """An error for each command that was recorded as it was sent: the voltage changes later than its stamp says."""
+        return self._stamps if self._model.scatter is None else ()
+
+    @functools.cached_property
+    def _stamps(self) -> tuple[Nuisance, ...]:
         return tuple(
             nuisance
             for index, trace in enumerate(self.traces)
@@ -184,8 +183,11 @@ class ValvePlant:
     def force_maps(self) -> Sequence[ForceMap]:
         """Curves over position, velocity and time, and such curves times v or u².
 
-        None by the outlet's pressure alone: it shows when the plungers have moved, and nothing of how.
+        None by the outlet's pressure alone: it shows when the plungers have moved, and nothing of how. None of a
+        commissioned valve with gas, where each of many derivatives takes another simulation of all.
         """
+        if self._model.scatter is not None and self.valve.gas is not None:
+            return []
         if all(trace.primary_signal == "outlet_pressure" for trace in self.traces):
             return []
         declared = self.valve.parameters
@@ -241,19 +243,16 @@ class ValvePlant:
     def _recorded(self, volts: float, duration: float, times: Array, values: Mapping[str, float]) -> ValvePlant:
         """A pulse recorded from a valve of these values, without noise."""
         drive = Drive.of([PULSE_START, PULSE_START + duration], [volts, 0.0])
-        nothing = np.zeros_like(times)
-        if not self.traces[0].has_positions:
-            seen = SIGNALS[self.traces[0].primary_signal].name
-            blank = Trace("an experiment", drive, times[:0], times[:0])
-            trace = replace(blank, **{seen: Signal(times, nothing)})  # type: ignore[arg-type] # by name
-            plant = ValvePlant([trace], self.valve)
-            (predicted_there,) = plant.predict(values)
-            # Samples at a command, where a current may jump, are not among them.
-            shown = Signal(plant.channels[0].times, predicted_there)
-            return ValvePlant([replace(trace, **{seen: shown})], self.valve)  # type: ignore[arg-type]
-        trace = Trace("an experiment", drive, times, nothing)
-        (position,) = ValvePlant([trace], self.valve).predict(values)
-        return ValvePlant([replace(trace, pilot_position=position)], self.valve)
+        trace = Trace("an experiment", drive, times, np.zeros_like(times))
+        seen = "" if self.traces[0].has_positions else SIGNALS[self.traces[0].primary_signal].name
+        if seen:
+            blank = {"times": times[:0], "pilot_position": times[:0], seen: Signal(times, trace.pilot_position)}
+            trace = self._usable(replace(trace, **blank))  # type: ignore[arg-type] # by name
+        at = moving_valve(self._model, values, (), has_current=trace.coil_current is not None)
+        (piece,) = shown(at, [Recording(trace, 0, self.valve)])
+        # Samples at a command, where a current may jump, are not among those of a signal.
+        found = {seen: Signal(getattr(trace, seen).times, piece.shown)} if seen else {"pilot_position": piece.shown}
+        return ValvePlant([replace(trace, **found)], self._model)
 
     def _channels_of(self, trace: int) -> tuple[int, ...]:
         return tuple(index for index, channel in enumerate(self._channels) if channel.recording == trace)
@@ -286,9 +285,9 @@ class ValvePlant:
         """
         valve = self._model.simulated(values)
         return {
-            index: followed(valve, trace, drive_with(trace, index, values, self.valve), lateness_with(index, values))
-            for index, trace in enumerate(self.traces)
-            if not trace.has_positions
+            index: followed(valve, own.trace, own.drive(values), own.lateness(values))
+            for index, own in enumerate(self._recordings)
+            if not own.trace.has_positions
         }
 
     def sensitivities(self, values: Mapping[str, float], directions: Sequence[Direction]) -> Sensitivities:
@@ -297,7 +296,16 @@ class ValvePlant:
         Raises:
             SimulationError: the simulation could not be carried to its end.
         """
-        return sensitivities(self._model, self.traces, values, directions, self._factors)
+        at = self._moving(values, directions)
+        if not at.known.any():
+            return Sensitivities([], at.known)
+        found = list(shown(at, self._recordings))
+        return Sensitivities([own.columns for own in found], at.known, [own.shown for own in found])
+
+    @property
+    def comes_in_pieces(self) -> bool:
+        """Whether predictions can be had piece by piece: of every valve it is tried."""
+        return True
 
     def pieces(self, values: Mapping[str, float], directions: Sequence[Direction]) -> Iterator[Piece] | None:
         """Prediction and derivatives, piece by piece; None without derivatives, with gas, or where a sensor averages.
@@ -305,7 +313,14 @@ class ValvePlant:
         Raises:
             SimulationError: the simulation could not be carried to its end.
         """
-        return None if self._averages else pieces(self._model, self.traces, values, directions)
+        if self._averages or self.valve.gas is not None:
+            return None  # its pressures are recorded, too, and one of them may drive it
+        at = self._moving(values, directions)
+        return shown(at, self._recordings, is_whole=False) if at.known.all() else None
+
+    def _moving(self, values: Mapping[str, float], directions: Sequence[Direction] = ()) -> MovingValve:
+        has_current = any(trace.coil_current is not None for trace in self.traces)
+        return moving_valve(self._model, values, directions, has_current=has_current)
 
     @property
     def _averages(self) -> bool:
@@ -314,14 +329,18 @@ class ValvePlant:
 
     @property
     def can_be_thinned(self) -> bool:
-        """Whether a sample is the same whichever others are shown: not of a valve with gas, or of a mean of several."""
-        return self.valve.gas is None and not self._averages
+        """Whether a sample is the same whichever others are shown: not of a valve with gas, or of a mean of several.
+
+        The few strokes of a commissioned valve are compared one by one.
+        """
+        return self.valve.gas is None and not self._averages and self._model.scatter is None
 
     def thinned(self, kept: Sequence[NDArray[np.intp]]) -> ValvePlant:
         """This plant with some samples of each channel, of which the first is one."""
         same, numbers = copy.copy(self), iter(kept)
         same._channels = [_thinned(channel, own) for channel, own in zip(self._channels, kept, strict=True)]
         same.traces = tuple(_thinned_trace(trace, numbers) for trace in self.traces)
+        same._recordings = same._recorded_errors()
         return same
 
     @functools.cached_property
@@ -350,9 +369,8 @@ class ValvePlant:
             for nuisance in variations(changing(effect), trace, index, self._channels_of(index))
         )
 
-    @functools.cached_property
-    def _factors(self) -> list[IntervalFactors]:
-        return [IntervalFactors(self.valve, trace, index) for index, trace in enumerate(self.traces)]
+    def _recorded_errors(self) -> list[Recording]:
+        return [Recording(trace, index, self.valve) for index, trace in enumerate(self.traces)]
 
     def sensors(self, values: Mapping[str, float]) -> dict[int, Sensor]:
         """The sensors of positions and of the current of each trace; of a valve that is watched, those of positions.
@@ -386,8 +404,10 @@ class ValvePlant:
             # A stroke is two intervals, whenever its recording begins.
             shares = {"scale": 0.0, "bend": 0.0}
             return Sensor(self.valve.parameters.stroke, trace.drive.times[1:2], shares=shares, alike=first)
-        drive, late = drive_with(trace, index, values, self.valve), lateness_with(index, values)
-        meet = contacts(valve, trace, drive, late) if self.valve.gas is None else NO_CONTACTS
+        own = self._recordings[index]
+        meet = (
+            contacts(valve, trace, own.drive(values), own.lateness(values)) if self.valve.gas is None else NO_CONTACTS
+        )
         shares = {"scale": sheet.gain, "bend": sheet.linearity}
         return Sensor(self.valve.parameters.stroke, trace.drive.times, meet, shares)
 
@@ -397,23 +417,7 @@ class ValvePlant:
         Raises:
             SimulationError: the simulation could not be carried to its end.
         """
-        valve = self._model.simulated(values)
-        shown: list[Array] = []
-        for index, trace in enumerate(self.traces):
-            drive, late = drive_with(trace, index, values, self.valve), lateness_with(index, values)
-            factors = self._factors[index].of(values)
-            if factors is None:
-                position, *others = predicted(valve, trace, drive, late)
-            else:
-                run = whole_run(
-                    run_in_pieces(
-                        valve, trace, drive, late, intervals=Intervals(self._factors[index].fields(values), factors)
-                    )
-                )
-                position, others = run.positions, amperes(valve, trace, run.currents)
-            positions = [averaged(trace, position) + zero_with(index, values)] if trace.has_positions else []
-            shown.extend([*positions, *others])
-        return shown
+        return [own.shown for own in shown(self._moving(values), self._recordings)]
 
 
 def _thinned(channel: Channel, kept: NDArray[np.intp]) -> Channel:

@@ -15,6 +15,25 @@ from valve_sim.model.valve import OF_TWO_PLUNGERS
 
 GAS_NAMES: Final[Mapping[str, str]] = {of_gas(name): name for name in GAS}
 """What fits call a number of the group `gas`, and what the group calls it."""
+SWITCHES: Final = (
+    "coil_time_constant", "eddy_time_constant", "residual_current", "restitution_stop", "restitution_seat",
+    "stop_compliance", "sensor_time_constant", "release_voltage",
+)  # fmt: skip
+"""Numbers that are off at 0 and act differently on either side of it: difference quotients are needed there."""
+WATCHED: Final = frozenset({*SWITCHES, "reference_voltage", "coil_resistance"})
+"""These, and what the rated current follows from: effects change what is declared of them."""
+DAMPINGS: Final = ("pilot_damping", "main_damping")
+"""Declared values that every fit frees, because they are not known beforehand; see `dampings_of`."""
+
+
+def dampings_of(valve: Valve) -> tuple[str, ...]:
+    """The names of the dampings that a valve uses: one plunger has no Phase 1."""
+    return DAMPINGS[1:] if valve.parameters.has_one_plunger else DAMPINGS
+
+
+def switches_of(valve: Valve) -> list[float]:
+    """The switches of a valve, with its effects."""
+    return valve.after_effects(*SWITCHES)
 
 
 class ValveModel:
@@ -22,17 +41,19 @@ class ValveModel:
 
     Args:
         valve: the declared valve; effects that it has on already stay on as they are, unless freed.
-        refitted: declared values that every fit frees.
 
     Attributes:
-        valve: as given.
+        valve: as given. refitted: declared values that every fit frees.
+        scatter: s, standard deviation of the commands' times where they and the clocks are known; None: they are not.
         effects: the catalogue; of effects that the declared valve has on, that they are not as large as declared; and
             that a declared value is wrong.
         nuisances: declared values with a tolerance.
     """
 
-    def __init__(self, valve: Valve, refitted: tuple[str, ...] = ()) -> None:
-        self.valve = valve
+    scatter: float | None = None
+
+    def __init__(self, valve: Valve) -> None:
+        self.valve, self.refitted = valve, dampings_of(valve)
         self._tolerated = ToleratedValues(valve)
         self.nuisances: tuple[Nuisance, ...] = self._tolerated.nuisances
         left_out = {name for name, entry in CATALOGUE.items() if not entry.tried}
@@ -51,8 +72,9 @@ class ValveModel:
         grown = {name: declared_effect(name, valve.effects[name]) for name in valve.effects if CATALOGUE[name].named}
         # What is declared already is among them: a wrong reference voltage is a drive gain of another size.
         effects |= {name: choice for name, choice in grown.items() if choice.parameters}
-        self.effects: Mapping[str, EffectChoice] = self._tolerated.with_hypotheses(effects, refitted)
+        self.effects: Mapping[str, EffectChoice] = self._tolerated.with_hypotheses(effects, self.refitted)
         self._declared = valve.declared()
+        self._watched = WATCHED | {name for name, entry in CATALOGUE.items() if not WATCHED.isdisjoint(entry.changes)}
         self._gas = GAS_NAMES if valve.gas is not None else {}
 
     def parameter(self, name: str) -> Parameter:
@@ -77,11 +99,19 @@ class ValveModel:
             return self.valve.effects[effect][parameter]
         return CATALOGUE[effect].parameter(parameter).neutral
 
+    def is_watched(self, name: str) -> bool:
+        """Whether a declared value, or a parameter of an effect, may change a switch or the rated current."""
+        return name.partition(".")[0] in self._watched
+
+    def as_declared(self, values: Mapping[str, float]) -> Mapping[str, float]:
+        """Values by the names of declared scalars and parameters of effects, in place of what stands for them."""
+        return self._tolerated.as_declared(values)
+
     def with_values(self, values: Mapping[str, float]) -> Valve:
         """The valve that freed values and estimates of declared values describe; its tolerances stay as declared."""
         effects = {name: dict(parameters) for name, parameters in self.valve.effects.items()}
         declared = {}
-        for name, value in self._tolerated.as_declared(values).items():
+        for name, value in self.as_declared(values).items():
             effect, dot, parameter = name.partition(".")
             if name in self._declared:
                 declared[name] = float(value)
@@ -117,7 +147,7 @@ class ValveModel:
         """
         effects = {name: dict(parameters) for name, parameters in self.valve.effects.items()}
         declared = dict(self._declared)
-        for name, value in self._tolerated.as_declared(values).items():
+        for name, value in self.as_declared(values).items():
             effect, dot, parameter = name.partition(".")
             if name in declared:
                 declared[name] = value

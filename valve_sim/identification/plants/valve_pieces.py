@@ -15,7 +15,7 @@ import numpy as np
 
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.identification.plants.recording_errors import places_of_fields
-from valve_sim.identification.plants.valve_sensors import NO_TIMES, recorded, run_from_rest
+from valve_sim.identification.plants.valve_sensors import NO_TIMES, recorded, run_from_rest, shown_by
 from valve_sim.model import Drive, Valve
 from valve_sim.model.runs import Directions, Shown
 from valve_sim.recordings import Trace
@@ -25,7 +25,7 @@ SAMPLES: Final = 8192
 
 
 class RunPiece(NamedTuple):
-    """What a piece of a run shows.
+    """What a run, or a piece of it, shows.
 
     Attributes:
         positions, currents: which samples of the recording, of either kind.
@@ -35,35 +35,6 @@ class RunPiece(NamedTuple):
     positions: slice
     currents: slice
     shown: Shown
-
-
-class WholeRun(NamedTuple):
-    """The pieces of a run, put together.
-
-    Attributes:
-        positions: (n,) m. currents: (m,), normalised.
-        of_positions, of_currents: (n, k) and (m, k) derivatives; none where none were asked.
-    """
-
-    positions: Array
-    currents: Array
-    of_positions: Array
-    of_currents: Array
-
-
-def whole_run(pieces: Iterator[RunPiece]) -> WholeRun:
-    """Put pieces together.
-
-    Raises:
-        SimulationError: the simulation could not be carried to its end.
-    """
-    found = list(pieces)
-    return WholeRun(
-        np.concatenate([piece.shown.positions for piece in found]),
-        np.concatenate([piece.shown.currents for piece in found]),
-        np.concatenate([piece.shown.of_positions for piece in found]),
-        np.concatenate([piece.shown.of_currents for piece in found]),
-    )
 
 
 class Cut(NamedTuple):
@@ -120,44 +91,64 @@ class Intervals(NamedTuple):
         return found
 
 
-def run_in_pieces(
-    valve: Valve,
-    trace: Trace,
-    drive: Drive,
-    offset: float,
-    directions: Directions | None = None,
-    intervals: Intervals | None = None,
-) -> Iterator[RunPiece]:
-    """Run a recorded drive.
+class Course(NamedTuple):
+    """A recorded drive that a valve runs through.
 
-    Args:
-        valve: without gas. trace: whose sample times count. drive: when the voltage changes, s.
-        offset: s by which samples are stamped late. directions: along which derivatives are carried.
-        intervals: what differs of the valve from interval to interval.
-
-    Raises:
-        SimulationError: the simulation could not be carried to its end.
+    Attributes:
+        valve: what is simulated; without gas where it is run in pieces. numbers: (n,) of it.
+        trace: whose sample times count. drive: when the voltage changes, s. late: s, by which samples are stamped.
+        directions: along which derivatives are carried. intervals: what differs of the valve between commands.
     """
-    current_times = trace.coil_current.times if trace.coil_current is not None else NO_TIMES
-    ends = None if intervals is None else intervals.changes
-    numbers = None
-    if intervals is not None:
-        own, places = valve.numbers(), places_of_fields(valve, intervals.fields)
-        numbers = intervals.values(own, places, 0)
-        if directions is not None:
-            moved = intervals.moved(own, places, 0)
-            assert moved is not None
-            directions = replace(directions, numbers=moved)
-    of = recorded(valve, trace, drive, offset)
-    run, commands = run_from_rest(of, directions, numbers), of.commands
-    (delay,) = valve.after_effects("sensor_delay")
-    for cut in cuts(trace.times, current_times, drive, (offset, delay), ends):
-        if intervals is not None and cut.commands.start:
-            after = cut.commands.start
-            run.become(intervals.values(own, places, after), intervals.moved(own, places, after))
-        times, late = trace.times[cut.positions] - offset, current_times[cut.currents] - offset
-        shown = run.piece(commands[cut.commands], cut.end, times, late, first=cut.commands.start)
-        yield RunPiece(cut.positions, cut.currents, shown)
+
+    valve: Valve
+    numbers: Array
+    trace: Trace
+    drive: Drive
+    late: float
+    directions: Directions | None = None
+    intervals: Intervals | None = None
+
+    def whole(self) -> RunPiece:
+        """All that it shows.
+
+        Raises:
+            SimulationError: the simulation could not be carried to its end.
+        """
+        if self.intervals is None:
+            of = self.valve, self.trace, self.drive, self.late, self.directions
+            return RunPiece(slice(None), slice(None), shown_by(*of, numbers=self.numbers))
+        first, *others = self.pieces()
+        if not others:
+            return first
+        parts = [first.shown, *(piece.shown for piece in others)]
+        return RunPiece(slice(None), slice(None), Shown(*map(np.concatenate, zip(*parts, strict=True))))
+
+    def pieces(self) -> Iterator[RunPiece]:
+        """What it shows, piece by piece.
+
+        Raises:
+            SimulationError: the simulation could not be carried to its end.
+        """
+        valve, own, trace, drive, offset, directions, intervals = self
+        current_times = trace.coil_current.times if trace.coil_current is not None else NO_TIMES
+        numbers, ends = own, None
+        if intervals is not None:
+            places, ends = places_of_fields(valve, intervals.fields), intervals.changes
+            numbers = intervals.values(own, places, 0)
+            if directions is not None:
+                moved = intervals.moved(own, places, 0)
+                assert moved is not None
+                directions = replace(directions, numbers=moved)
+        of = recorded(valve, trace, drive, offset)
+        run, commands = run_from_rest(of, directions, numbers), of.commands
+        (delay,) = valve.after_effects("sensor_delay")
+        for cut in cuts(trace.times, current_times, drive, (offset, delay), ends):
+            if intervals is not None and cut.commands.start:
+                after = cut.commands.start
+                run.become(intervals.values(own, places, after), intervals.moved(own, places, after))
+            times, late = trace.times[cut.positions] - offset, current_times[cut.currents] - offset
+            shown = run.piece(commands[cut.commands], cut.end, times, late, first=cut.commands.start)
+            yield RunPiece(cut.positions, cut.currents, shown)
 
 
 def cuts(

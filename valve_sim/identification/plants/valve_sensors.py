@@ -20,7 +20,7 @@ from valve_sim.model.runs import Directions, Run, Shown
 from valve_sim.model.simulation import commands_of
 from valve_sim.recordings import Signal, Trace, stroke_numbers
 from valve_sim.recordings.measured_input import AT_COMMAND
-from valve_sim.recordings.resting_noise import repeated_levels
+from valve_sim.recordings.resting_noise import step_of
 
 FIT_TOLERANCE: Final = 1e-8
 """Of one step while fitting: a thousandth of the noise at most."""
@@ -76,7 +76,7 @@ def still_mask(
     resting = (data[end] if left_out is None else data[end][~left_out[end]] for end in ends)
     spread = [1.4826 * float(np.median(np.abs(np.diff(piece, 2)))) for piece in resting if len(piece) > 12]
     sigma = float(np.median(spread)) if spread else 0.0
-    width = within * max(sigma, 1e-9) + _coarse_step(data if left_out is None else data[~left_out])
+    width = within * max(sigma, 1e-9) + step_of(data if left_out is None else data[~left_out])
     for index, (start, stop) in enumerate(itertools.pairwise(edges)):
         if stop - start < 20:
             continue
@@ -107,11 +107,6 @@ def fastest_motion(trace: Trace) -> float:
     stride = max(1, len(trace.times) // 2000)
     speed = np.abs(np.diff(trace.usable_position[::stride]) / np.diff(trace.times[::stride]))
     return max(float(np.quantile(speed, 0.995)), 0.05)
-
-
-def _coarse_step(data: Array) -> float:
-    levels = repeated_levels(data)
-    return float(np.median(np.diff(levels))) if 1 < len(levels) < 0.5 * len(data) else 0.0
 
 
 def with_usable_current(trace: Trace, *, jumps: bool) -> Trace:
@@ -216,7 +211,7 @@ class Recorded(NamedTuple):
 
 
 def recorded(valve: Valve, trace: Trace, drive: Drive, offset: float) -> Recorded:
-    """A valve as a trace recorded it, which rests until the first command or sample; arguments as of `predicted`."""
+    """A valve as a trace recorded it, which rests until the first command or sample; arguments as of `shown_by`."""
     firsts = [trace.sample_times[:1]]
     if trace.outlet_pressure is not None:
         firsts.append(trace.outlet_pressure.times[:1])
@@ -242,9 +237,20 @@ def run_from_rest(of: Recorded, directions: Directions | None = None, numbers: A
 
 
 def shown_by(
-    valve: Valve, trace: Trace, drive: Drive, offset: float, directions: Directions | None = None, room: int = 0
+    valve: Valve,
+    trace: Trace,
+    drive: Drive,
+    offset: float,
+    directions: Directions | None = None,
+    room: int = 0,
+    numbers: Array | None = None,
 ) -> Shown:
-    """What the sensors of a valve show at the samples of a trace; arguments as of `predicted` and `run_from_rest`.
+    """What the sensors of a valve show at the samples of a trace.
+
+    Args:
+        valve: what is simulated. trace: whose sample times count. drive: when the voltage changes, s.
+        offset: s by which samples are stamped late. directions: along which derivatives are carried.
+        room: for so many events. numbers: of the valve, where they are known already.
 
     Raises:
         SimulationError: the simulation could not be carried to its end.
@@ -255,7 +261,8 @@ def shown_by(
     )
     end = max(float(own[-1]) for own in (times, current_times, pressure_times) if len(own))
     of = recorded(valve, trace, drive, offset)
-    return run_from_rest(of, directions).piece(of.commands, end, times, current_times, pressure_times, room=room)
+    run = run_from_rest(of, directions, numbers if of.valve is valve else None)
+    return run.piece(of.commands, end, times, current_times, pressure_times, room=room)
 
 
 def as_it_began(valve: Valve, trace: Trace) -> Valve:
@@ -271,21 +278,6 @@ def as_it_began(valve: Valve, trace: Trace) -> Valve:
         known["demand_pressure"] = float(pressures[max(0, int(np.searchsorted(times, at, side="right")) - 1)])
     least: dict[str, Any] = {name: max(pressure, LEAST_PRESSURE) for name, pressure in known.items()}
     return replace(valve, gas=valve.gas._replace(**least)) if least else valve
-
-
-def predicted(valve: Valve, trace: Trace, drive: Drive, offset: float) -> list[Array]:
-    """What the sensors show at the samples of a trace: positions, then current and outlet pressure where recorded.
-
-    Args:
-        valve: what is simulated. trace: whose sample times count.
-        drive: when the voltage changes, s. offset: s by which samples are stamped late.
-
-    Raises:
-        SimulationError: the simulation could not be carried to its end.
-    """
-    shown = shown_by(valve, trace, drive, offset)
-    pressures = [] if trace.outlet_pressure is None else [shown.pressures]
-    return [shown.positions, *amperes(valve, trace, shown.currents), *pressures]
 
 
 def supply_of(trace: Trace, offset: float) -> Supply | None:
@@ -364,17 +356,8 @@ def rated_current_of(valve: Valve) -> float:
     return voltage / resistance
 
 
-def amperes(valve: Valve, trace: Trace, currents: Array) -> list[Array]:
-    """Currents as a trace has them, from normalised ones; none where it has none.
-
-    Raises:
-        SimulationError: the coil has no resistance.
-    """
-    return [] if trace.coil_current is None else [currents * rated_current_of(valve)]
-
-
 def contacts(valve: Valve, trace: Trace, drive: Drive, offset: float) -> Contacts:
-    """When plungers of a valve meet the body, and with which momentum; arguments as of `predicted`.
+    """When plungers of a valve meet the body, and with which momentum; arguments as of `shown_by`.
 
     Raises:
         SimulationError: the simulation could not be carried to its end.
@@ -400,7 +383,7 @@ def contacts(valve: Valve, trace: Trace, drive: Drive, offset: float) -> Contact
 
 
 def followed(valve: Valve, trace: Trace, drive: Drive, offset: float) -> Array:
-    """The pilot plunger's positions at the samples by which a trace is judged, m; arguments as of `predicted`.
+    """The pilot plunger's positions at the samples by which a trace is judged, m; arguments as of `shown_by`.
 
     Raises:
         SimulationError: the simulation could not be carried to its end.

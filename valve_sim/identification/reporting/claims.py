@@ -13,7 +13,7 @@ from valve_sim.identification.fit.posterior import EVEN, SURE
 from valve_sim.identification.fit.result import effective_rmse
 from valve_sim.identification.plants.effect_titles import capitalised, named, title_of, what_is_missing
 from valve_sim.identification.plants.own import OwnPlant
-from valve_sim.identification.plants.protocol import Plant, advice_of, primary_channels
+from valve_sim.identification.plants.protocol import Plant, primary_channels
 from valve_sim.identification.plants.tolerances import GROUP
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.document import Entry, Words
@@ -83,7 +83,7 @@ def _not_told(diagnosis: Diagnosis, nearest: str, alike: str) -> str:
         best = f"; so far {nearest} fits best" if nearest else ""
         return f"The budget ended before the search could find what is missing{best}."
     if verdict.strokes <= 1:
-        return f"{capitalised(advice_of(diagnosis.plant).ambiguous)}."
+        return f"{capitalised(diagnosis.plant.advice.ambiguous)}."
     start = "These recordings cannot tell what is missing"
     if verdict.probability < NO_LEADER:
         return f"{start}: no set of effects is likelier than many others."
@@ -141,7 +141,7 @@ def recording_advice(diagnosis: Diagnosis) -> str:
     """What to record next to separate the candidates, and the best single pulse; empty where nothing is open."""
     if not diagnosis.verdict.is_open:
         return ""
-    advice, best = advice_of(diagnosis.plant), diagnosis.recommendation
+    advice, best = diagnosis.plant.advice, diagnosis.recommendation
     words = advice.first if diagnosis.verdict.strokes <= 1 else advice.more
     if best is None:
         return f"{words}."

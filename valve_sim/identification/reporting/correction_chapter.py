@@ -13,7 +13,6 @@ from valve_sim.identification.fit.correction import Correction, is_curve
 from valve_sim.identification.fit.grades import Grade
 from valve_sim.identification.fit.left_out import Stroke, levels_of
 from valve_sim.identification.plants.effect_titles import inside_sentence, named, title_of
-from valve_sim.identification.plants.hold_out import UnderConditions
 from valve_sim.identification.plants.protocol import READABLE_UNITS, primary_channels
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.claims import curve_words
@@ -151,9 +150,7 @@ def _json(diagnosis: Diagnosis, correction: Correction) -> dict[str, Any]:
 def _valid_for_json(diagnosis: Diagnosis, correction: Correction) -> dict[str, Any]:
     """Under what the strokes were made that confirm a correction."""
     plant, strokes = diagnosis.plant, [stroke for part in correction.parts for stroke in part.strokes]
-    volts: set[float] = set()
-    if isinstance(plant, UnderConditions):
-        volts = {level for stroke in strokes for level in levels_of(plant.condition_of(*stroke))}
+    volts = {level for stroke in strokes for level in levels_of(plant.condition_of(*stroke) or ())}
     return {
         "voltages": sorted(volts - {0.0}),
         "lifts": _lifts(diagnosis, strokes),

@@ -24,7 +24,7 @@ from valve_sim.identification.monitoring.findings import (
 )
 from valve_sim.identification.monitoring.stroke_monitor import StrokeReport
 from valve_sim.identification.plants.effect_titles import WRONG, named, title_of
-from valve_sim.identification.plants.valve import DAMPINGS
+from valve_sim.identification.plants.valve_model import DAMPINGS
 from valve_sim.identification.reporting.units import measured, percent, quantity
 from valve_sim.identification.reporting.values import intervals_json
 from valve_sim.model import CATALOGUE, DECLARED

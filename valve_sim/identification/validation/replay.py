@@ -25,7 +25,7 @@ from valve_sim.identification.fit.columns import Columns, columns_of
 from valve_sim.identification.fit.problem import Problem
 from valve_sim.identification.fit.recordings import fit_recording
 from valve_sim.identification.plants.protocol import READABLE_UNITS, Array
-from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA, drive_with, zero_with
+from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA, Recording
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.plants.valve_pieces import Cut, cuts
 from valve_sim.identification.plants.valve_sensors import response_to
@@ -226,7 +226,8 @@ def replay_trace(trace: Trace, valve: Valve, tolerance: float | None = None) -> 
     errors = Columns() if problem.is_long else columns_of(plant, {}, {})
     nuisances = fit_recording(problem.with_columns(errors), {}, learns=True).values
     offset = nuisances["clock_offset[0]"]
-    drive = drive_with(trace, 0, nuisances, valve)
+    recording = Recording(trace, 0, valve)
+    drive = recording.drive(nuisances)
     times = trace.sample_times
     start = min(float(drive.times.min(initial=math.inf)), float(times[0])) - CLOCK_SIGMA
     kind, _, finest = _JUDGED[trace.primary_signal]
@@ -240,7 +241,7 @@ def replay_trace(trace: Trace, valve: Valve, tolerance: float | None = None) -> 
             with suppress(SimulationError):
                 variance += np.square(motion_of(moved, trace, drive, times, start, offset).shown - shown)
     if trace.has_positions:
-        shown += zero_with(0, nuisances)
+        shown += recording.zero(nuisances)
     allowed = Allowed(variance, finest) if tolerance is None else tolerance
     errors_of = partial(
         errors_between, measured.values, shown, _moving(times, motion.is_moving), allowed, left_out=left_out
