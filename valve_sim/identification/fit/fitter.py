@@ -445,23 +445,25 @@ class Fitter:
         self.use(self.columns_with(values, columns.modes))
         return True
 
-    def gain_by_change(self, names: Set, fit: Descended, effect: str) -> float:
-        """By how much the criterion falls, to first order, if an effect of a set differs from stroke to stroke."""
+    def least_with_change(self, names: Set, values: Mapping[str, float], effect: str) -> float:
+        """What the criterion comes to from a start, to first order, if an effect differs from stroke to stroke."""
         before = self.errors
         try:
             if not self._lets_change(effect):
-                return 0.0
+                return math.inf
             model = self.model(names)
-            z = model.at(fit.gaussian.model.named(fit.gaussian.z))
-            return Gaussian(model, z, model.linearise(z), self.sizes).step()[1]
+            z = model.at(values)
+            here = Gaussian(model, z, model.linearise(z), self.sizes)
+            return here.cost - here.step()[1]
         except (SimulationError, np.linalg.LinAlgError):
-            return 0.0
+            return math.inf
         finally:
             self.take(before)
 
-    def with_change(self, names: Set, fit: Descended, effect: str) -> Descended | None:
-        """A fit of a set again, an effect of it differing from stroke to stroke; None where that cannot be."""
-        return self.learn(names, fit) if self._lets_change(effect) else None
+    def with_change(self, names: Set, values: Mapping[str, float], effect: str) -> Descended | None:
+        """A fit of a set from a start, an effect of it differing from stroke to stroke; None where that cannot be."""
+        fit = self.descended(self.model(names), values) if self._lets_change(effect) else None
+        return None if fit is None else self.learn(names, fit)
 
     def is_orderly(self, tried: Tried) -> bool:
         """Whether an effect that differs from stroke to stroke follows them: free sizes would imitate too much."""

@@ -393,13 +393,17 @@ class Search:
 
     def _change_over_strokes(self) -> None:
         """Let the effect differ from stroke to stroke that then follows them, leaves nothing, and is most probable."""
-        fitter, alone = self.fitter, [names for names in self.tried if len(names) == 1]
-        gains = {names: fitter.gain_by_change(names, self.tried[names].fit, names[0]) for names in alone}
+        fitter, begin = self.fitter, dict[Set, Start]()
+        for alone in [names for names in self.tried if len(names) == 1]:
+            starts = [self.tried[alone].values, *(start.values for start in self._starts(alone))]
+            each = [Start(fitter.least_with_change(alone, values, alone[0]), values) for values in starts]
+            begin[alone] = min(each, key=lambda start: start.cost)
         most = max(map(self.log_weight, self.tried)) + WORTH_A_CHANGE
         before, best = fitter.errors, None
-        for names in sorted((names for names in alone if gains[names] > 0.0), key=lambda own: -gains[own])[:CHANGES]:
+        promising = [names for names in sorted(begin, key=lambda own: begin[own].cost) if begin[names].cost < math.inf]
+        for names in promising[:CHANGES]:
             self._say(f"{words(names)} that changes over the strokes", self._done)
-            fit = fitter.with_change(names, self.tried[names].fit, names[0])
+            fit = fitter.with_change(names, begin[names].values, names[0])
             found = None if fit is None else fitter.weighed(names, fit)
             if found is not None and fitter.is_orderly(found):
                 weight = self.log_weight_of(names, found)
@@ -407,9 +411,8 @@ class Search:
                     best, most = (names, found, fitter.errors), weight
             fitter.take(before)
         if best is not None:
-            names, found, errors = best
-            self.tried[names] = found
-            fitter.take(errors)
+            self.tried[best[0]] = best[1]
+            fitter.take(best[2])
 
     # -- smooth curves -------------------------------------------------------------------------------------------------
 

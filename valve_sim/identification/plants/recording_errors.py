@@ -76,10 +76,7 @@ FACTOR_SCALE: Final = 0.02
 def changing(effect: str) -> dict[str, Varying]:
     """What may change of an effect over the strokes, by `<effect>/<parameter>`: what switches it, if it has a size."""
     switches = {f"{effect}/{own.name}": own for own in CATALOGUE[effect].parameters}
-    # A force of either sign has no mean that it could be relative to.
-    sized = {
-        name: Varying(name, CHANGE_SCALE, FROM_NOTHING) for name, own in switches.items() if own.off == own.lower == 0
-    }
+    sized = {name: Varying(name, CHANGE_SCALE, FROM_NOTHING) for name, own in switches.items() if own.off == 0.0}
     return sized | {name: Varying(name, FACTOR_SCALE) for name, own in switches.items() if own.off == 1.0}
 
 
