@@ -98,7 +98,7 @@ def test_what_is_twice_the_detection_limit_by_the_current_alone_is_named() -> No
         (3, np.linspace(0.0, 0.3, 8), r"Coulomb friction grows over the strokes (by \d+ %|from nothing)"),
         (11, np.linspace(0.3, 0.1, 8), r"Coulomb friction falls over the strokes by (5\d|6\d|7\d) %"),
         (5, [0.0] * 4 + [0.2] * 4, "Coulomb friction begins with stroke 5"),
-        (17, [0.0, 0.2, 0.0, 0.0, 0.2, 0.2, 0.0, 0.2], "Coulomb friction acts in strokes 2, 5, 6, 8 alone"),
+        (17, [0.0, 0.2, 0.0, 0.0, 0.2, 0.2, 0.0, 0.2], "Coulomb friction acts in strokes 2, 5, 6, 8, and not in 3, 4"),
         (7, [0.15] * 8, ""),
     ],
     ids=["grows", "falls", "begins", "comes and goes", "stays"],

@@ -31,6 +31,7 @@ def test_what_is_in_some_strokes_alone_is_told() -> None:
     there = np.isin(STROKES, (1, 4, 5, 7))
     found = change_over(STROKES, np.where(there, 1.0, -1.0) + noise, ERRORS)
     assert found is not None and (found.kind, found.strokes) == ("some", (1, 4, 5, 7))
+    assert found.others == (0, 2, 3, 6)
     assert change_over(STROKES, np.where(there, 0.4, -0.4) + noise, ERRORS) is None
 
 

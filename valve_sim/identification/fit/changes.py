@@ -30,12 +30,14 @@ class Change(NamedTuple):
         kind: of the curve; or that it comes and goes.
         first, last: its deviations in the first and the last stroke, relative to the mean; where it is not, and is.
         strokes: numbers, from 0 on, of the stroke with which a step comes, or of those in which it is.
+        others: of those in which it is not.
     """
 
     kind: Literal["line", "step", "some"]
     first: float
     last: float
     strokes: tuple[int, ...] = ()
+    others: tuple[int, ...] = ()
 
 
 def changes_in(result: Fit, group: Group, size: float) -> dict[str, Change]:
@@ -97,7 +99,8 @@ def _in_some(strokes: Array, deviations: Array, errors: Array) -> Change | None:
     odds -= 2.0 * math.log(spread / float(np.min(errors)))
     if low > ABSENT * high or odds < -math.log(CHANCE):
         return None
-    return Change("some", low - 1.0, high - 1.0, tuple(np.sort(strokes[order[at:]]).astype(int).tolist()))
+    without, within = (tuple(np.sort(strokes[own]).astype(int).tolist()) for own in (order[:at], order[at:]))
+    return Change("some", low - 1.0, high - 1.0, within, without)
 
 
 def _correlation_of_step(deviations: Array, edge: int) -> float:

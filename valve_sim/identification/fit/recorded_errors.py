@@ -248,7 +248,8 @@ def _in_words(name: str, change: Change) -> str:
     if change.kind == "line":
         return f"{_what(name)} {way} over the strokes {share if begins > NOTHING else 'from nothing'}"
     if change.kind == "some":
-        return f"{_what(name)} acts in strokes {', '.join(str(own + 1) for own in change.strokes)} alone"
+        within, without = (", ".join(str(own + 1) for own in each) for each in (change.strokes, change.others))
+        return f"{_what(name)} acts in strokes {within}, and not in {without}"
     happens = "begins" if begins <= NOTHING else "ends" if 1.0 + change.last <= NOTHING else f"{way} {share}"
     return f"{_what(name)} {happens} with stroke {change.strokes[0] + 1}"
 
