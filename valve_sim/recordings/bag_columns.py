@@ -12,7 +12,7 @@ from valve_sim.model.drives import Drive
 from valve_sim.recordings.clocks import SECOND, clock_offset, order_samples
 from valve_sim.recordings.command_times import Commands, commands_by_logs
 from valve_sim.recordings.layout import POSITIONS, valves_among
-from valve_sim.recordings.recorded import Readings
+from valve_sim.recordings.open_recording import Readings
 from valve_sim.recordings.topics import Stamps
 from valve_sim.recordings.trace import TraceError
 
@@ -33,7 +33,7 @@ MOST_REPEATED: Final = 0.05
 
 
 class BagColumns:
-    """A bag as `Recorded` has it; `where` is the map that names its topics, for messages; empty: this package's."""
+    """A bag as `OpenRecording` has it; `where` is the map that names its topics, for messages; empty: this package."""
 
     is_table = False
     timed_by = ""
@@ -48,7 +48,7 @@ class BagColumns:
         self._reported: set[str] = set()
 
     def are_beside(self, first: Source, other: Source) -> bool:
-        """As of `Recorded`."""
+        """As of `OpenRecording`."""
         return first.topic == other.topic
 
     def _topic(self, name: str) -> Topic:
@@ -62,7 +62,7 @@ class BagColumns:
         return topic
 
     def rows(self, key: str, source: Source) -> Array:
-        """As of `Recorded`."""
+        """As of `OpenRecording`."""
         found = self._recording.types[source.topic]
         if source.type not in ("", found):
             raise TraceError(
@@ -100,7 +100,7 @@ class BagColumns:
         return np.asarray((times - self.epoch_ns) / SECOND, dtype=np.float64)
 
     def ordered(self, key: str, source: Source, use: NDArray[np.bool_], columns: Sequence[Array]) -> Sequence[Array]:
-        """As of `Recorded`."""
+        """As of `OpenRecording`."""
         taken, delays, is_stamped = self._stamps(key, source)
         taken, delays = taken[use], delays[use]
         columns = [column[use] for column in columns]
@@ -138,17 +138,17 @@ class BagColumns:
             self.findings.append(f"{topic}: {words}")
 
     def begin(self, sources: Iterable[tuple[str, Source]]) -> None:
-        """As of `Recorded`."""
+        """As of `OpenRecording`."""
         first = [int(np.min(self._times(key, source))) for key, source in sources]
         self.epoch_ns = min([*first, *self._samples[:1].tolist()], default=0)
 
     @property
     def sample_times(self) -> Array:
-        """As of `Recorded`."""
+        """As of `OpenRecording`."""
         return self._since(self._samples)
 
     def readings(self, key: str, source: Source) -> Readings:
-        """As of `Recorded`: the last number of those of one time."""
+        """As of `OpenRecording`: the last number of those of one time."""
         values, times = self.rows(key, source), self._times(key, source)
         if (times[1:] > times[:-1]).all():
             return Readings(self._since(times), values)
@@ -157,7 +157,7 @@ class BagColumns:
         return Readings(self._since(times[last]), values[last], len(times) - len(last))
 
     def commands(self, source: Source, logs: Sequence[str]) -> tuple[Drive, DriveErrors | None]:
-        """As of `Recorded`: as they were sent, where who sent them logged it; else as they were recorded."""
+        """As of `OpenRecording`: as they were sent, where who sent them logged it; else as they were recorded."""
         volts, times = source.to_si(self.rows("command", source), "voltage"), self._times("command", source)
         finite = np.isfinite(volts)
         if not finite.any():

@@ -36,7 +36,7 @@ from valve_sim.model.core.tracer import Trace
 from valve_sim.model.core.tracer import evaluate as numbers_of
 from valve_sim.recordings.bag_columns import BagColumns
 from valve_sim.recordings.layout import check_topic
-from valve_sim.recordings.recorded import Recorded
+from valve_sim.recordings.open_recording import OpenRecording
 from valve_sim.recordings.resting_noise import step_of
 from valve_sim.recordings.storage import read_recording
 from valve_sim.recordings.table_columns import TableColumns
@@ -174,7 +174,7 @@ class _Reading:
             if "time" not in found:
                 raise self._map.fail("time", "is missing; add time: {column: t, unit: s} or time: {rate: 1000}")
             self._keys: tuple[str, ...] = ("column",)
-            self._recorded: Recorded = TableColumns(table, time_axis(self._map, found["time"]), where)
+            self._recorded: OpenRecording = TableColumns(table, time_axis(self._map, found["time"]), where)
             self._entries = self._places(found, "")
         else:
             if found is None:

@@ -36,7 +36,7 @@ STAMP_ERROR: Final = 50e-6
 GAP: Final = 10.0
 """Usual intervals between samples of the voltage: a longer one hides a step, which may have been anywhere in it."""
 MISSING: Final = 3.0
-"""The same where a command may only be dated by what is seen."""
+"""Usual intervals between samples, beyond which some are missing: no command is dated by what is not seen."""
 EXACT: Final = 1e-8
 """s: what is known better is taken as exact."""
 

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from valve_sim.files.recording_map import RecordingMap, Source
-    from valve_sim.recordings.recorded import Recorded
+    from valve_sim.recordings.open_recording import OpenRecording
     from valve_sim.recordings.storage import Fields
 
     Array = NDArray[np.float64]
@@ -98,7 +98,7 @@ def read_trace(path: str | PathLike[str], valve: str | None = None, recording_ma
     return replace(trace, zero_error=ZERO_ERROR, averaging=sensor.averaging, bandwidth=sensor.bandwidth)
 
 
-def _opened(path: Path, valve: str | None, recording_map: RecordingMap | None) -> tuple[Recorded, Plan]:
+def _opened(path: Path, valve: str | None, recording_map: RecordingMap | None) -> tuple[OpenRecording, Plan]:
     if is_table(path):
         table = open_table(path)
         plan, axis = table_plan(path, table.names, valve, recording_map)
@@ -119,7 +119,7 @@ def _opened(path: Path, valve: str | None, recording_map: RecordingMap | None) -
 class _Assembly:
     """One reading of one valve: collects findings on the way from columns to a trace."""
 
-    def __init__(self, recorded: Recorded, plan: Plan) -> None:
+    def __init__(self, recorded: OpenRecording, plan: Plan) -> None:
         self.recorded, self.plan, self.findings = recorded, plan, recorded.findings
         self._levels_are_input = True
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from valve_sim.model.drives import Drive
 from valve_sim.recordings.clocks import SECOND
-from valve_sim.recordings.recorded import Readings
+from valve_sim.recordings.open_recording import Readings
 from valve_sim.recordings.trace import DriveErrors, TraceError
 from valve_sim.recordings.voltage_steps import held_steps
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 class TableColumns:
-    """A table as `Recorded` has it; `where` is the map that names its columns, for messages."""
+    """A table as `OpenRecording` has it; `where` is the map that names its columns, for messages."""
 
     is_table = True
 
@@ -61,38 +61,38 @@ class TableColumns:
 
     @property
     def epoch_ns(self) -> int:
-        """As of `Recorded`; 0 where nothing says the day."""
+        """As of `OpenRecording`; 0 where nothing says the day."""
         start, origin = float(self._rows.times[self._rows.kept][0]), self._rows.origin
         return max(0, round(origin) * SECOND + round((start + origin - round(origin)) * SECOND))
 
     def are_beside(self, first: Source, other: Source) -> bool:
-        """As of `Recorded`."""
+        """As of `OpenRecording`."""
         return True
 
     def rows(self, key: str, source: Source) -> Array:
-        """As of `Recorded`; rows that have the time of another are left out."""
+        """As of `OpenRecording`; rows that have the time of another are left out."""
         self._check(key, source.column)
         return self._table.column(source.column)[self._rows.kept]
 
     def ordered(self, key: str, source: Source, use: NDArray[np.bool_], columns: Sequence[Array]) -> Sequence[Array]:
-        """As of `Recorded`."""
+        """As of `OpenRecording`."""
         self._use, self._from_first = use, True
         return [column[use] for column in columns]
 
     @property
     def sample_times(self) -> Array:
-        """As of `Recorded`."""
+        """As of `OpenRecording`."""
         return self._times[self._use]
 
     def begin(self, sources: Iterable[tuple[str, Source]]) -> None:
-        """As of `Recorded`."""
+        """As of `OpenRecording`."""
 
     def readings(self, key: str, source: Source) -> Readings:
-        """As of `Recorded`."""
+        """As of `OpenRecording`."""
         return Readings(self._times, self.rows(key, source))
 
     def commands(self, source: Source, logs: Sequence[str]) -> tuple[Drive, DriveErrors]:
-        """As of `Recorded`: each holds until a row has another."""
+        """As of `OpenRecording`: each holds until a row has another."""
         times, volts, _ = self.readings("command", source)
         use = np.isfinite(volts)
         if not use.any():

@@ -12,7 +12,7 @@ from plants.recording import Profile, Recorder, record
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.files.recording_map import load_map
 from valve_sim.identification.diagnosis.identify import identify
-from valve_sim.identification.plants.recording_errors import Recording
+from valve_sim.identification.plants.recording_errors import ErringRecording
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import Drive
 from valve_sim.recordings import DriveErrors, Trace, read_trace
@@ -86,7 +86,7 @@ def test_commands_of_one_reading_share_its_error_and_others_have_their_own() -> 
         "voltage_error[0,5]",
     ]
     assert plant.timing_errors == ()
-    moved = Recording(trace, 0, plant.valve).drive({"voltage_error[0,1]": 0.1, "command_error[0,5]": 2e-5})
+    moved = ErringRecording(trace, 0, plant.valve).drive({"voltage_error[0,1]": 0.1, "command_error[0,5]": 2e-5})
     np.testing.assert_allclose(moved.volts, [0.0, 9.1, 0.0, 9.1, 0.0, 12.0])
     np.testing.assert_allclose(moved.times - times, [0.0, 0.0, 0.0, 0.0, 0.0, 2e-5], atol=1e-12)
     (still,), (shifted,) = plant.predict({}), plant.predict({"position_zero[0]": 3e-6})

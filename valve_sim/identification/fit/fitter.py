@@ -88,7 +88,7 @@ class Tried:
         return Evidence(self.plain, self.spread.log_evidence, self.is_fitted)
 
 
-class Errors(NamedTuple):
+class LearnedErrors(NamedTuple):
     """What is taken for errors of the recordings: their columns, with the effects that change, and sizes of groups."""
 
     columns: Columns
@@ -399,11 +399,11 @@ class Fitter:
         self.problem = self.problem.with_columns(columns)
 
     @property
-    def errors(self) -> Errors:
+    def errors(self) -> LearnedErrors:
         """The errors of the recordings as they are now."""
-        return Errors(self.problem.columns, dict(self.sizes))
+        return LearnedErrors(self.problem.columns, dict(self.sizes))
 
-    def take(self, errors: Errors) -> None:
+    def take(self, errors: LearnedErrors) -> None:
         """Fit with these errors, columns and sizes, from now on."""
         if errors.columns is not self.problem.columns:
             self.use(errors.columns)
@@ -428,11 +428,19 @@ class Fitter:
             found = self.descended(self.model(names), again.gaussian.model.named(again.gaussian.z)) or again
         return found
 
-    def columns_with(self, values: Mapping[str, float], modes: Mapping[int, tuple[Mode, ...]]) -> Columns:
-        """The errors of the recordings beside a machine of these values, with modes of its mounts."""
+    def columns_with(
+        self, values: Mapping[str, float], modes: Mapping[int, tuple[Mode, ...]], changing: Sequence[str] | None = None
+    ) -> Columns:
+        """The errors of the recordings beside a machine of these values.
+
+        Args:
+            values: by name. modes: of the sensors' mounts, by channel.
+            changing: effects that differ from stroke to stroke; default those that do now.
+        """
         if self.problem.is_long:
             return Columns()
-        return columns_of(self.problem.plant, values, modes, self.problem.columns.changing).held_at(self._held)
+        changing = self.problem.columns.changing if changing is None else tuple(changing)
+        return columns_of(self.problem.plant, values, modes, changing).held_at(self._held)
 
     def _lets_change(self, effect: str) -> bool:
         """Let an effect differ from stroke to stroke from now on, if there are strokes enough."""
@@ -440,9 +448,8 @@ class Fitter:
         columns = self.problem.columns
         if len(strokes) < FEWEST or effect in columns.changing:
             return False
-        self.use(replace(columns, changing=(*columns.changing, effect)))
         values = {} if self.base is None else self.base.values
-        self.use(self.columns_with(values, columns.modes))
+        self.use(self.columns_with(values, columns.modes, (*columns.changing, effect)))
         return True
 
     def least_with_change(self, names: Set, values: Mapping[str, float], effect: str) -> float:

@@ -236,6 +236,8 @@ class Search:
     def _in_place_of(self, member: str, best: Set) -> list[Set]:
         """The best set with another name for one of its members, which the score test finds beside the others."""
         rest = without(best, member)
+        if rest in self.impossible:
+            return []
         if rest not in self.tried:
             fit = self.fitter.descended(self.fitter.model(rest), self.tried[best].values)
             if fit is None:

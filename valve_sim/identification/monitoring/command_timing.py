@@ -36,8 +36,8 @@ MEDIAN_OF_LARGER: Final = 1.052
 """Median of the larger absolute value of two standard normal numbers."""
 UNINFORMATIVE: Final = 0.05
 """s: a prior so wide that it carries no information on when a command took effect."""
-LATEST: Final = 0.05
-"""s by which samples may come in later than the soonest one, and commands may be assumed to: as `UNINFORMATIVE`."""
+LATEST: Final = UNINFORMATIVE
+"""s by which samples may come in later than the soonest one, and commands may be assumed to."""
 LONGEST: Final = 0.1
 """Share of the opening time: where the scatter is larger, delays are not scored."""
 

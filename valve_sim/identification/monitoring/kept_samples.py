@@ -19,13 +19,12 @@ from valve_sim.identification.monitoring.findings import Fault
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.model import Drive
 from valve_sim.recordings import Signal, Trace
+from valve_sim.recordings.command_times import MISSING
 
 MOST_SAMPLES: Final = 100_000
 """Samples of a stroke; one that has more is ended."""
 WAITING: Final = 0.1
 """s."""
-MISSING: Final = 3.0
-"""Usual intervals between samples, beyond which some are missing."""
 UNSEEN: Final = 0.1
 """Share of the range by which what is measured may change where samples are missing."""
 FEWEST_VOLTAGES: Final = 2

@@ -189,7 +189,7 @@ def supply_errors(trace: Trace, index: int, channels: tuple[int, ...]) -> list[N
     ]  # fmt: skip
 
 
-class Recording:
+class ErringRecording:
     """What the values of a recording's errors make of its commands, its stamps, and the valve's numbers by interval.
 
     Args:

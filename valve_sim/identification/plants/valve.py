@@ -31,7 +31,7 @@ from valve_sim.identification.plants.protocol import (
     Sensor,
 )
 from valve_sim.identification.plants.recording_errors import (
-    Recording,
+    ErringRecording,
     changing,
     clock_offset,
     clock_rate,
@@ -249,7 +249,7 @@ class ValvePlant(Plant):
             blank = {"times": times[:0], "pilot_position": times[:0], seen: Signal(times, trace.pilot_position)}
             trace = self._usable(replace(trace, **blank))  # type: ignore[arg-type] # by name
         at = moving_valve(self._model, values, (), has_current=trace.coil_current is not None)
-        (piece,) = shown(at, [Recording(trace, 0, self.valve)])
+        (piece,) = shown(at, [ErringRecording(trace, 0, self.valve)])
         # Samples at a command, where a current may jump, are not among those of a signal.
         found = {seen: Signal(getattr(trace, seen).times, piece.shown)} if seen else {"pilot_position": piece.shown}
         return ValvePlant([replace(trace, **found)], self._model)
@@ -369,8 +369,8 @@ class ValvePlant(Plant):
             for nuisance in variations(changing(effect), trace, index, self._channels_of(index))
         )
 
-    def _recorded_errors(self) -> list[Recording]:
-        return [Recording(trace, index, self.valve) for index, trace in enumerate(self.traces)]
+    def _recorded_errors(self) -> list[ErringRecording]:
+        return [ErringRecording(trace, index, self.valve) for index, trace in enumerate(self.traces)]
 
     def sensors(self, values: Mapping[str, float]) -> dict[int, Sensor]:
         """The sensors of positions and of the current of each trace; of a valve that is watched, those of positions.

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.identification.plants.protocol import Array, Direction, Piece
-from valve_sim.identification.plants.recording_errors import Recording, is_of_recording
+from valve_sim.identification.plants.recording_errors import ErringRecording, is_of_recording
 from valve_sim.identification.plants.valve_model import ValveModel, switches_of
 from valve_sim.identification.plants.valve_pieces import Course, Intervals
 from valve_sim.identification.plants.valve_sensors import averaged, rated_current_of
@@ -96,7 +96,7 @@ def _moved(values: Mapping[str, float], direction: Direction) -> dict[str, float
     return there
 
 
-def shown(at: MovingValve, recordings: Sequence[Recording], *, is_whole: bool = True) -> Iterator[Piece]:
+def shown(at: MovingValve, recordings: Sequence[ErringRecording], *, is_whole: bool = True) -> Iterator[Piece]:
     """What each channel of some recordings shows, with derivatives; of a long one piece by piece.
 
     Args:
@@ -128,7 +128,7 @@ def shown(at: MovingValve, recordings: Sequence[Recording], *, is_whole: bool = 
         channel += trace.has_positions + (trace.coil_current is not None) + (trace.outlet_pressure is not None)
 
 
-def _intervals(at: MovingValve, recording: Recording) -> Intervals | None:
+def _intervals(at: MovingValve, recording: ErringRecording) -> Intervals | None:
     """What differs of the valve by interval between the commands of a recording; None where nothing does."""
     factors = recording.factors(at.values)
     if factors is None:
@@ -144,7 +144,7 @@ def _intervals(at: MovingValve, recording: Recording) -> Intervals | None:
     return Intervals(recording.fields(at.values), factors, slopes, at.slopes)
 
 
-def _directions(at: MovingValve, recording: Recording, drive: Drive) -> tuple[Directions, Array]:
+def _directions(at: MovingValve, recording: ErringRecording, drive: Drive) -> tuple[Directions, Array]:
     """How a run of a recording moves, and (k,) how its sensor's zero does; drive: as it took effect."""
     count, commands = len(at.directions), len(drive.times)
     times, volts = np.zeros((2, count, commands))

@@ -25,7 +25,7 @@ from valve_sim.identification.fit.columns import Columns, columns_of
 from valve_sim.identification.fit.problem import Problem
 from valve_sim.identification.fit.recordings import fit_recording
 from valve_sim.identification.plants.protocol import READABLE_UNITS, Array
-from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA, Recording
+from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA, ErringRecording
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.plants.valve_pieces import Cut, cuts
 from valve_sim.identification.plants.valve_sensors import response_to
@@ -226,7 +226,7 @@ def replay_trace(trace: Trace, valve: Valve, tolerance: float | None = None) -> 
     errors = Columns() if problem.is_long else columns_of(plant, {}, {})
     nuisances = fit_recording(problem.with_columns(errors), {}, learns=True).values
     offset = nuisances["clock_offset[0]"]
-    recording = Recording(trace, 0, valve)
+    recording = ErringRecording(trace, 0, valve)
     drive = recording.drive(nuisances)
     times = trace.sample_times
     start = min(float(drive.times.min(initial=math.inf)), float(times[0])) - CLOCK_SIGMA

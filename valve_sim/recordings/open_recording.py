@@ -32,7 +32,7 @@ class Readings(NamedTuple):
     repeated: int = 0
 
 
-class Recorded(Protocol):
+class OpenRecording(Protocol):
     """A recording that is open. Its methods raise a `TraceError` of one line where a place is not as it should be.
 
     Attributes:
