@@ -22,6 +22,7 @@ RUNS_WITHOUT_ROS = [
     "rich>=13.0",
     "rosbags>=0.11",
     "scipy>=1.11",
+    "threadpoolctl>=3.0",
     "zstandard>=0.20",
 ]
 URLS = {url.attrib["type"]: url.text or "" for url in MANIFEST.findall("url")}

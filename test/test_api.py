@@ -45,6 +45,21 @@ def test_the_import_alone_loads_nothing_heavy_and_asks_for_one_thread_unless_som
     assert ran.stdout == f"[] {chosen or 1}\n"
 
 
+def test_a_diagnosis_takes_one_thread_also_where_numpy_was_loaded_before() -> None:
+    environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+    program = """
+import numpy, sys, threadpoolctl, valve_sim as vs
+def threads():
+    return [own["num_threads"] for own in threadpoolctl.threadpool_info() if own["user_api"] == "blas"]
+before, seen = threads(), set()
+vs.diagnose(sys.argv[1], budget=vs.Budget(100.0), progress=lambda what, done: seen.update(threads()))
+print(seen, max(threads()) == max(before))
+"""
+    command = [sys.executable, "-c", program, str(ROOT / "bags" / "one_opening.mcap")]
+    ran = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert ran.stdout == "{1} True\n", ran.stderr
+
+
 def test_a_simulation_is_a_table_a_picture_and_a_line() -> None:
     times = np.arange(0.0, 0.06, 5e-5)
     run = vs.simulate(vs.default_valve(), DRIVE, times)

@@ -7,8 +7,10 @@ These functions do what the command line does. Their results can be shown in a n
 from __future__ import annotations
 
 import html
+import os
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, fields, replace
 from importlib.util import find_spec
 from os import PathLike
@@ -323,6 +325,18 @@ def read(
     return read_trace(path, valve, map_from(found, where))
 
 
+@contextmanager
+def _few_threads() -> Iterator[None]:
+    """Linear algebra on as many threads as the environment says, also where NumPy was loaded before it did."""
+    with ExitStack() as stack:
+        if find_spec("threadpoolctl"):  # which has no rosdep key
+            from threadpoolctl import threadpool_limits
+
+            stack.enter_context(threadpool_limits(int(os.environ["OPENBLAS_NUM_THREADS"]), "blas"))
+        yield
+
+
+@_few_threads()
 def identify(
     recordings: Recordings,
     machine: Valve | PlantFile | None = None,
@@ -352,6 +366,7 @@ def identify(
     return Identification(**_fields_of(found))
 
 
+@_few_threads()
 def diagnose(
     recordings: Recordings,
     machine: Valve | PlantFile | None = None,
@@ -382,6 +397,7 @@ def diagnose(
     return Diagnosis(**_fields_of(found))
 
 
+@_few_threads()
 def validate(
     recordings: Recordings,
     machine: Valve | PlantFile | None = None,
