@@ -19,7 +19,7 @@ from valve_sim.identification.diagnosis.experiment_design import Recommendation,
 from valve_sim.identification.diagnosis.followed_positions import follows_positions
 from valve_sim.identification.diagnosis.outcome import Candidate, Diagnosis, Rival, State, Verdict, Worth
 from valve_sim.identification.fit.budget import Budget
-from valve_sim.identification.fit.correction import Correction, correct, is_curve
+from valve_sim.identification.fit.correction import FALLS, Correction, correct, is_curve
 from valve_sim.identification.fit.curves import Unexplained, unexplained
 from valve_sim.identification.fit.descent import MOST
 from valve_sim.identification.fit.detection_limits import detection_limits
@@ -223,6 +223,8 @@ class DiagnosisSession:
         posterior, decision = grounds.posterior, grounds.decision
         self._say("what predicts unseen strokes", 0.9)
         correction = correct(self._search, decision)
+        if correction.names and not correction.is_applied:
+            correction = replace(correction, is_applied=self._lowers_held_out_error(correction))
         if without_support(correction, grades(correction, decision, posterior)):
             correction = replace(correction, is_applied=False)
         self._say("intervals", 0.95)
@@ -366,6 +368,15 @@ class DiagnosisSession:
             here.deviation, math.nan if there is None else there.deviation, here.bands,
             {} if there is None else there.bands, adequacy(result), intervals,
         )  # fmt: skip
+
+    def _lowers_held_out_error(self, correction: Correction) -> bool:
+        """Whether a correction that left-out strokes do not confirm lowers the error of held-out ones by a third.
+
+        (Where each stroke has errors of its own, such as stamps that scatter, these follow what the model lacks.)
+        """
+        fits = [self._held_out.fit(correction.tried[names].result) for names in ((), correction.names)]
+        errors = [math.log(rmse(own)) for own in fits if own is not None]
+        return len(errors) == len(fits) and errors[0] - errors[1] >= FALLS
 
     def _held_out_gain(self, base: Fit, result: Fit) -> float:
         """Ln of how much more probable a fit makes held-out strokes than the declared model."""

@@ -217,6 +217,8 @@ class Search:
         if not sets:
             return False
         self._fit_all(sets)
+        if not is_all:
+            self._fit_all(self._beside_plainest(base), plainly=True)
         best = self.best(len(base) + 1)
         if best is None:
             return False
@@ -269,6 +271,18 @@ class Search:
             if gain > 0.0
         ]
 
+    def _beside_plainest(self, base: Set) -> list[Set]:
+        """What may act beside the set that explains most by itself: what is beside something unnamed may follow that.
+
+        (A sensor's delay beside a force leaves more than saturation does, which a process then makes up for.)
+        """
+        plainest = max(
+            (names for names in self.tried if len(names) == len(base)), key=lambda own: self.tried[own].plain
+        )
+        if plainest == base:
+            return []
+        return [added(plainest, name) for name, gain in self.gains(plainest).items() if gain > 0.0]
+
     def _may_show(self, name: str, gain: float) -> bool:
         """Whether the data show a hypothesis at all: of a declared value they may say nothing."""
         return math.isfinite(gain) or not self.fitter.hypotheses[name].is_declared_value
@@ -296,8 +310,11 @@ class Search:
             gain = gains[name] + prior - self.rivals.log_prior(names)[0]
             self.screened[names] = Evidence(known.plain + gain, known.spread.log_evidence + gain, is_fitted=False)
 
-    def _fit_all(self, sets: Iterable[Set]) -> None:
+    def _fit_all(self, sets: Iterable[Set], *, plainly: bool = False) -> None:
         """Fit sets of one size, the promising first; those that cannot come near the best of them are given up.
+
+        Args:
+            sets: of a size. plainly: whether the best is that without something unnamed, though that acts.
 
         Raises:
             OutOfWorkError: the work is used up; what was due is in `untried`.
@@ -314,16 +331,16 @@ class Search:
             if budget.is_used_up:
                 break
             self._say(words(names), self._done)
-            self._fit_one(names, starts[names], spreads=spreads)
+            self._fit_one(names, starts[names], spreads=spreads, plainly=plainly)
         known = {*self.tried, *self.begun, *self.impossible}
         self.untried.extend(names for names in due if names not in known)
         if self.untried:
             raise OutOfWorkError("the work is used up")
 
-    def _fit_one(self, names: Set, starts: list[Start], *, spreads: bool) -> None:
+    def _fit_one(self, names: Set, starts: list[Start], *, spreads: bool, plainly: bool) -> None:
         """Fit a set, or give it up."""
         best = self.best(len(names))
-        explained = best is not None and self.unnamed_beside(best) < EVEN
+        explained = best is not None and (plainly or self.unnamed_beside(best) < EVEN)
         goal = math.inf
         if explained:
             goal = min(one.fit.cost for other, one in self.tried.items() if len(other) == len(names)) + 2.0 * NEAR
