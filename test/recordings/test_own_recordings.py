@@ -461,20 +461,48 @@ def test_a_first_map_takes_no_rate_out_of_the_air(repeated: int, digits: int, tm
     assert summary.timed_by == f"the rate of 20000 Hz in {tmp_path / 'map.yaml'}"
 
 
-def test_a_first_map_knows_one_value_a_row_and_a_column_of_other_times(tmp_path: Path, made: Recording) -> None:
+def test_a_first_map_knows_one_value_a_row(tmp_path: Path, made: Recording) -> None:
     held = made.volts[np.maximum(np.searchsorted(made.command_times, made.times, side="right") - 1, 0)]
     rows = list(zip(made.times.tolist(), held.tolist(), (1e3 * made.pilot_position).tolist(), strict=True))
     path = tmp_path / "log.csv"
     path.write_text("time,name,value\n" + "".join(f"{t:.6f},u,{u}\n{t:.6f},lift,{x:.6f}\n" for t, u, x in rows))
     with pytest.raises(TraceError, match=r"the value of one quantity, which column name names \(u, lift\); export"):
         draft_map(path, VALVE, "valve-sim map")
-    count = len(rows)
-    late = ["" if 2 * row >= count else f"{rows[2 * row][0]:.6f},{rows[2 * row][1]}" for row in range(count)]
-    path.write_text(
-        "t,lift,t_u,u\n" + "".join(f"{t:.6f},{x:.6f},{own or ','}\n" for (t, _, x), own in zip(rows, late, strict=True))
-    )
+
+
+@pytest.mark.parametrize("head", ["t_u;u;t_x;lift;t_i;current", "Time;Volts;Time;Stroke;Time;Current"])
+def test_columns_with_times_of_their_own_are_read_by_these(tmp_path: Path, made: Recording, head: str) -> None:
+    """Each channel has a column of times and a length of its own, as TwinCAT and LabVIEW export them."""
+    held = np.append(0.0, made.volts)[np.searchsorted(made.command_times, made.times, side="right")]
+    assert made.coil_current is not None
+    late = made.times[5:] + 1e-5  # begins later, and between the others' samples
+    channels = [
+        (made.times[::2], held[::2]),
+        (made.times, 1e3 * made.pilot_position),
+        (late, np.interp(late, made.times, made.coil_current)),
+    ]
+    count = max(len(times) for times, _ in channels)
+    cells = [
+        [*(f"{own:.8g}" for own in column.tolist()), *[""] * (count - len(column))]
+        for times, values in channels
+        for column in (times, values)
+    ]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join([head, *(";".join(row) for row in zip(*cells, strict=True))]) + "\n")
     draft = draft_map(path, VALVE, "valve-sim map")
-    assert draft.count("steps of its own") == 1 and "# CHECK: t_u has steps of its own" in draft
+    assert draft.count("has steps of its own, and is taken for the time of the columns after it") == 2
+    (tmp_path / "map.yaml").write_text(draft)
+    found = read_trace(path, None, load_map(tmp_path / "map.yaml"))
+    np.testing.assert_allclose(found.times, made.times, atol=1e-9)
+    np.testing.assert_allclose(found.pilot_position, made.pilot_position, atol=1e-9)
+    assert found.coil_current is not None
+    np.testing.assert_allclose(found.coil_current.times, late, atol=1e-9)
+    np.testing.assert_allclose(found.drive.times[1:], made.true_command_times, atol=1e-4)
+    assert not [words for words in found.findings if "empty" in words or "dropped" in words]
+    # What is not in a column of a table has its own clock already.
+    (tmp_path / "map.yaml").write_text("command: /u\nposition: {topic: /x, time: t}\n")
+    with pytest.raises(MapError, match=r"position\.time: is a column; messages of a bag have their own"):
+        load_map(tmp_path / "map.yaml")
 
 
 DRAFTED = {

@@ -40,7 +40,7 @@ OF_ANOTHER: Final = "; if it is of a machine that is no valve, give --plant to i
 CLOCKS: Final = ("header", "bag")
 DEFAULT_VALVE: Final = "/valve"
 _OTHER_KEYS: Final = ("sensor", "clock", "time", "valve", "valves")
-_TEXTS: Final = ("topic", "field", "joint", "column", "type", "unit", "clock")
+_TEXTS: Final = ("topic", "field", "joint", "column", "time", "type", "unit", "clock")
 _NUMBERS: Final = ("scale", "sign", "offset")
 
 
@@ -52,7 +52,7 @@ class Source:
         topic: of a bag.
         field: dotted path in the message, "point.z" or "position[2]"; empty: its only number.
         joint: of a JointState, in place of an index into `field` (default position).
-        column: name or number (from 1) of a table's column.
+        column: name or number (from 1) of a table's column. time: that of its times, where these are not the rows'.
         type: of the message, needed by live nodes only where it cannot be told from `joint`.
         unit: one of `UNITS` of the quantity's dimension.
         scale: of a divider or probe. sign: 1 or −1. offset: in `unit`, added last.
@@ -63,6 +63,7 @@ class Source:
     field: str = ""
     joint: str = ""
     column: str = ""
+    time: str = ""
     type: str = ""
     unit: str = ""
     scale: float = 1.0
@@ -206,6 +207,8 @@ def place_of(reader: Entries, key: str, entry: Mapping[str, Any], clock: str) ->
     topic, joint, index = (texts.get(name, "") for name in ("topic", "joint", "field"))
     if bool(topic) == bool(texts.get("column")):
         raise reader.fail(key, f"found {short(dict(entry))}, expected either topic: (of a bag) or column: (of a table)")
+    if topic and texts.get("time"):
+        raise reader.fail(f"{key}.time", "is a column; messages of a bag have their own: clock: header or clock: bag")
     if topic and not topic.startswith("/"):
         raise reader.fail(f"{key}.topic", f"found {topic!r}, expected a name that begins with /")
     if joint and "[" in index:

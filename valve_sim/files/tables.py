@@ -109,8 +109,11 @@ class DataTable:
         """Where a row (from 0 on) is in the file, for messages."""
         return f"row {row + 1}"
 
-    def row_times(self, axis: TimeAxis) -> RowTimes:
+    def row_times(self, axis: TimeAxis, *, may_end: bool = False) -> RowTimes:
         """When each row was taken.
+
+        Args:
+            axis: which columns say it. may_end: whether they may end before others do; rows after that are not kept.
 
         Raises:
             TableError: a cell holds no time, time runs backwards, or many rows share one time.
@@ -121,7 +124,8 @@ class DataTable:
         places = [self._place(name) for name in axis.columns]
         times, origin = self._seconds(places, axis) if self._are_stamps(places, axis) else self._sum(places, axis)
         finite = np.isfinite(times)
-        if not finite.all():
+        count = len(times) - int(np.argmax(finite[::-1])) if may_end and finite.any() else len(times)
+        if not finite[:count].all():
             raise TableError(
                 f"{self.path}: {self.place(int(np.argmin(finite)))}: {where} holds no time; take the row out"
             )
@@ -134,7 +138,7 @@ class DataTable:
                 "another column"
             )
         kept = np.concatenate([[True], steps > 0])
-        repeated = int((~kept).sum())
+        repeated = int((~kept[:count]).sum())
         if repeated > len(times) // MOST_REPEATED:
             raise TableError(
                 f"{self.path}: {where}: {repeated} of {len(times)} rows have the time of the row before; "

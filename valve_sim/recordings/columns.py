@@ -173,9 +173,11 @@ class _Reading:
                 found = {"time": {"column": time}, **{name: {"column": name} for name in table.names if name != time}}
             if "time" not in found:
                 raise self._map.fail("time", "is missing; add time: {column: t, unit: s} or time: {rate: 1000}")
-            self._keys: tuple[str, ...] = ("column",)
-            self._recorded: OpenRecording = TableColumns(table, time_axis(self._map, found["time"]), where)
+            self._keys: tuple[str, ...] = ("column", "time")
             self._entries = self._places(found, "")
+            has_clocks = any(source.time for source, _ in self._entries.values())
+            axis = time_axis(self._map, found["time"])
+            self._recorded: OpenRecording = TableColumns(table, axis, where, has_clocks=has_clocks)
         else:
             if found is None:
                 raise TraceError(

@@ -343,7 +343,7 @@ def _time_line(table: DataTable) -> tuple[list[str], list[Series]]:
             troubles[name] = str(error).removeprefix(f"{table.path}: ").partition(";")[0]
     parts = [pair for pair in itertools.pairwise(table.names) if _is_part(columns, *pair)]
     with np.errstate(invalid="ignore"):  # of readings beyond the range
-        steps_of = {name: np.diff(values) for name, values in columns.items() if len(values) > 1}
+        steps_of = {name: np.diff(_begun(values)) for name, values in columns.items() if len(values) > 1}
     dating = {name: steps for name, steps in steps_of.items() if _dates(name, steps)}
     usable = [name for name, steps in dating.items() if np.mean(steps == 0.0) <= 1.0 / MOST_REPEATED]
     named = [name for name in usable if PLAIN.fullmatch(name)]
@@ -363,26 +363,43 @@ def _time_line(table: DataTable) -> tuple[list[str], list[Series]]:
             "time: {rate: ...} (rows a second), or export the times"
         )
     axis = time_axis(Entries("", MapError), entry)
-    series = table_series(table, {name: values for name, values in columns.items() if name not in axis.columns})
-    steps = np.diff(table.row_times(axis).times)
+    taken = columns.get(axis.columns[0]) if len(axis.columns) == 1 else None
+    clocks = [] if taken is None else [name for name, own in columns.items() if _is_another_clock(own, _begun(taken))]
+    others = {name: own for name, own in columns.items() if name not in (*axis.columns, *clocks)}
+    series = table_series(table, others, _clock_of(table.names, axis, clocks))
+    steps = np.diff(table.row_times(axis, may_end=bool(clocks)).times)
     rate = 1.0 / float(np.median(steps[steps > 0.0]))
     lines = [f"# {rate:.6g} rows a second; {reason}", f"time: {_yaml(entry)}"]
-    if len(axis.columns) == 1 and (taken := columns.get(axis.columns[0])) is not None:
-        lines += [
-            f"# CHECK: {name} has steps of its own: if it is the time of columns beside it, export all by one clock"
-            for name, own in columns.items()
-            if name != axis.columns[0] and _is_another_clock(own, taken)
-        ]
+    lines += [
+        f"# CHECK: {name} has steps of its own, and is taken for the time of the columns after it" for name in clocks
+    ]
     return lines, series
 
 
-def _is_another_clock(values: Array, taken: Array) -> bool:
-    """Whether a column grows by equal steps, as times do, from where a column of times begins, but by other ones."""
+def _begun(values: Array) -> Array:
+    """A column without the empty cells at its end, where others are longer."""
     seen = np.isfinite(values)
-    steps, usual = np.diff(values[seen]), float(np.median(np.diff(taken)))
+    return values[: len(values) - int(np.argmax(seen[::-1]))] if seen.any() else values
+
+
+def _clock_of(names: Sequence[str], axis: TimeAxis, clocks: Sequence[str]) -> dict[str, str]:
+    """The column of times that each column comes after, where it is not the rows'."""
+    found, clock = {}, ""
+    for name in names:
+        clock = name if name in clocks else "" if name in axis.columns else clock
+        if clock:
+            found[name] = clock
+    return found
+
+
+def _is_another_clock(values: Array, taken: Array) -> bool:
+    """Whether a column grows by equal steps, as times do, from about where a column of times begins, but is another."""
+    seen = values[np.isfinite(values)]
+    steps, usual = np.diff(seen), float(np.median(np.diff(taken)))
     if len(steps) < MOST_LEVELS or not np.ptp(steps) < 0.01 * abs(float(steps.mean())) or (steps == 1.0).all():
         return False
-    return bool(values[seen][0] == taken[0] and abs(float(steps.mean()) - usual) > 0.01 * usual)
+    begins_near = abs(float(seen[0] - taken[0])) < MOST_LEVELS * usual
+    return bool(begins_near and (seen[0] != taken[0] or abs(float(steps.mean()) - usual) > 0.01 * usual))
 
 
 def _refuse_one_value_a_row(table: DataTable, names: Iterable[str]) -> None:

@@ -56,7 +56,7 @@ class Series:
     @property
     def name(self) -> str:
         """The name of this series for people."""
-        return " ".join(self.place.values())
+        return " ".join(own for key, own in self.place.items() if key != "time")
 
     @property
     def words(self) -> str:
@@ -103,10 +103,16 @@ class Series:
         return float(large / max(large, np.abs(np.diff(medians_of_three(self.values))).sum(), 1e-300))
 
 
-def table_series(table: DataTable, columns: Mapping[str, Array]) -> list[Series]:
-    """The columns of a table."""
+def table_series(table: DataTable, columns: Mapping[str, Array], clocks: Mapping[str, str]) -> list[Series]:
+    """Columns of a table; `clocks` has the columns of times of those that have their own."""
     found = [(name, values[np.isfinite(values)]) for name, values in columns.items()]
-    return [Series({"column": name}, values, table.units.get(name, "")) for name, values in found if len(values) > 1]
+    return [
+        Series(
+            {"column": name, **({"time": clocks[name]} if name in clocks else {})}, values, table.units.get(name, "")
+        )
+        for name, values in found
+        if len(values) > 1
+    ]
 
 
 def bag_series(path: Path) -> list[Series]:

@@ -38,7 +38,7 @@ class OpenRecording(Protocol):
     Attributes:
         path: The file, for messages.
         findings: What was dropped or repaired so far, a line each.
-        is_table: Whether all places share the times of its rows, of which some cells may be empty.
+        is_table: Whether places are columns of rows, of which some cells may be empty.
         clock: What the times are: "header", "bag", "time column", "rate".
         timed_by: That in words, where the file or a map says it; else empty.
     """

@@ -102,7 +102,8 @@ def _opened(path: Path, valve: str | None, recording_map: RecordingMap | None) -
     if is_table(path):
         table = open_table(path)
         plan, axis = table_plan(path, table.names, valve, recording_map)
-        return TableColumns(table, axis, plan.map_path or str(path)), plan
+        has_clocks = any(source.time for source in plan.sources.values())
+        return TableColumns(table, axis, plan.map_path or str(path), has_clocks=has_clocks), plan
     plans: list[Plan] = []
 
     def select(types: Mapping[str, str]) -> Fields:
@@ -250,7 +251,7 @@ class _Assembly:
         signal = self.signal("main_position")
         if signal is None:
             return None
-        self.findings.append(f"{main.topic}: {MAIN} was interpolated at the samples of {source.topic}")
+        self.findings.append(f"{_label(main)}: {MAIN} was interpolated at the samples of {_label(source)}")
         return np.interp(times, signal.times, signal.values)
 
     def drive(self) -> tuple[Drive, DriveErrors | None]:

@@ -1,12 +1,13 @@
-"""The columns of a table, which share the times of its rows."""
+"""The columns of a table, which share the times of its rows or have a column of times each."""
 
 from __future__ import annotations
 
-import functools
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from valve_sim.files.tables import RowTimes
 from valve_sim.model.drives import Drive
 from valve_sim.recordings.clocks import SECOND
 from valve_sim.recordings.open_recording import Readings
@@ -19,38 +20,54 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from valve_sim.files.recording_map import Source, TimeAxis
-    from valve_sim.files.tables import DataTable, RowTimes
+    from valve_sim.files.tables import DataTable
 
     Array = NDArray[np.float64]
 
 
 class TableColumns:
-    """A table as `OpenRecording` has it; `where` is the map that names its columns, for messages."""
+    """A table as `OpenRecording` has it.
+
+    Args:
+        table, axis: the file, and which of its columns say when its rows were taken.
+        where: the map that names its columns, for messages. has_clocks: whether some have a column of times each.
+    """
 
     is_table = True
 
-    def __init__(self, table: DataTable, axis: TimeAxis, where: str) -> None:
+    def __init__(self, table: DataTable, axis: TimeAxis, where: str, *, has_clocks: bool = False) -> None:
         self.path, self.findings, self._table, self._where = table.path, list(table.findings), table, where
+        self._has_clocks, self._times_of = has_clocks, dict[str, RowTimes]()
         self.clock = "time column" if axis.columns else "rate"
         self.timed_by = f"the rate of {axis.rate:.6g} Hz in {where}"
         if axis.columns:
             self.timed_by = f"column{'s' if len(axis.columns) > 1 else ''} {' and '.join(axis.columns)}"
-        self._axis, self._use, self._from_first = axis, np.empty(0, dtype=bool), False
+        self._axis, self._samples, self._from_first = axis, np.empty(0), False
 
-    @functools.cached_property
+    @property
     def _rows(self) -> RowTimes:
-        """When its rows were taken: read after the first column, so that what is wrong with that is said first."""
-        for column in self._axis.columns:
-            self._check("time", column)
-        found = self._table.row_times(self._axis)
-        if found.repeated:
-            self.findings.append(f"{self.timed_by}: dropped {found.repeated} rows with the time of the row before")
-        return found
+        return self._rows_by("")
 
-    @functools.cached_property  # once it is known whether the first row is the beginning
-    def _times(self) -> Array:
-        times = self._rows.times[self._rows.kept]
-        return times - times[0] if self._from_first else times
+    def _rows_by(self, clock: str) -> RowTimes:
+        """When its rows were taken by a column, the map's where none is named.
+
+        It is read after the first column of values, so that what is wrong with that is said first.
+        """
+        if clock not in self._times_of:
+            axis = replace(self._axis, columns=(clock,), units=self._axis.units[:1]) if clock else self._axis
+            for column in axis.columns:
+                self._check("time", column)
+            found = self._times_of[clock] = self._table.row_times(axis, may_end=self._has_clocks)
+            if found.repeated:
+                by = f"column {clock}" if clock else self.timed_by
+                self.findings.append(f"{by}: dropped {found.repeated} rows with the time of the row before")
+        return self._times_of[clock]
+
+    def _times(self, clock: str) -> Array:
+        """(n,) s of the rows that have a time by a column; once it is known whether the first row is the beginning."""
+        rows, first = self._rows_by(clock), self._rows
+        times = rows.times[rows.kept] + (rows.origin - first.origin)
+        return times - first.times[first.kept][0] if self._from_first else times
 
     def _check(self, key: str, column: str) -> None:
         if not self._table.has(column):
@@ -67,29 +84,31 @@ class TableColumns:
 
     def are_beside(self, first: Source, other: Source) -> bool:
         """As of `OpenRecording`."""
-        return True
+        return first.time == other.time
 
     def rows(self, key: str, source: Source) -> Array:
         """As of `OpenRecording`; rows that have the time of another are left out."""
         self._check(key, source.column)
-        return self._table.column(source.column)[self._rows.kept]
+        return self._table.column(source.column)[self._rows_by(source.time).kept]
 
     def ordered(self, key: str, source: Source, use: NDArray[np.bool_], columns: Sequence[Array]) -> Sequence[Array]:
         """As of `OpenRecording`."""
-        self._use, self._from_first = use, True
+        self._from_first = True
+        self._samples = self._times(source.time)[use]
         return [column[use] for column in columns]
 
     @property
     def sample_times(self) -> Array:
         """As of `OpenRecording`."""
-        return self._times[self._use]
+        return self._samples
 
     def begin(self, sources: Iterable[tuple[str, Source]]) -> None:
         """As of `OpenRecording`."""
 
     def readings(self, key: str, source: Source) -> Readings:
         """As of `OpenRecording`."""
-        return Readings(self._times, self.rows(key, source))
+        values = self.rows(key, source)
+        return Readings(self._times(source.time), values)
 
     def commands(self, source: Source, logs: Sequence[str]) -> tuple[Drive, DriveErrors]:
         """As of `OpenRecording`: each holds until a row has another."""
