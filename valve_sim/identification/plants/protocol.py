@@ -557,9 +557,3 @@ def perturbed(parameter: Parameter, value: float, size: float = SMALL_MOVE) -> f
     lower, upper = internal_bounds(parameter)
     step = size * internal_scale(parameter)
     return from_internal(parameter, min(max(at + step if at + step <= upper else at - step, lower), upper))
-
-
-def is_two_sided(parameter: Parameter) -> bool:
-    """Whether a parameter may lie on either side of where it changes nothing."""
-    lower, upper = internal_bounds(parameter)
-    return parameter.off is not None and lower < to_internal(parameter, parameter.off) < upper
