@@ -221,7 +221,7 @@ class DataTable:
 def _since_the_first_day(stamps: Sequence[Stamp]) -> tuple[Array, float]:
     """(n,) s since midnight before the first stamp, and when that was, s since 1970; 0 where nothing says the day.
 
-    Without days, each time that they begin anew a period is over.
+    Without days, each time that they start again a period is over.
     """
     if not stamps:
         return np.empty(0), 0.0

@@ -117,7 +117,7 @@ def timeline(trace: Trace, rate: float) -> tuple[NDArray[np.int64], NDArray[np.i
 class Replay(StoppableThread):
     """A thread that replays a trace by absolute deadlines: nothing is left out, and lateness does not accumulate.
 
-    After a jump of the clock it begins anew. `rate` is in seconds of the trace a second of the clock, 0 for as fast as
+    After a jump of the clock it starts again. `rate` is in seconds of the trace a second of the clock, 0 for as fast as
     possible. `prepare` is called first, in the thread; `play` with each place of `timeline`; `end` when all is played.
     """
 

@@ -94,7 +94,7 @@ class LiveMonitor:
         return self._seconds(received) if received else math.nan
 
     def _watch_for_jumps(self, stamp: int) -> None:
-        """Begin anew where the clock was set, or a bag starts again."""
+        """Start again where the clock was set, or a bag starts again."""
         moved = (stamp - self._last_stamp) / NANOSECONDS if self._last_stamp is not None else 0.0
         if moved < -_JUMP_SECONDS or moved > LONGEST_LEAP_SECONDS:
             self._warn(f"the stamps jumped by {moved:g} s: the valve is taken to be at rest", True)

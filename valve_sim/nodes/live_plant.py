@@ -74,11 +74,11 @@ class NodePlant:
         return found
 
     def passes_over(self, name: str, given: Mapping[str, object]) -> bool:
-        """As of `NodeSettings`."""
+        """See `NodeSettings`."""
         return name in OF_ANY_NODE or name.startswith(VALVE_KEYS)
 
     def values(self, given: Mapping[str, object], sources: Mapping[str, str]) -> dict[str, Value]:
-        """The values at the start; arguments and errors as of `check_given`."""
+        """The values at the start; arguments and errors: see `check_given`."""
         for name in given:
             if name.startswith(VALVE_KEYS):
                 where, path = f"{sources.get(name, 'command line')}: {name}", self.file.path

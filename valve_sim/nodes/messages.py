@@ -40,10 +40,10 @@ _LARGEST_SINGLE: Final = 3e38
 
 
 class ReadingMessages:
-    """The messages of each sample. Each is made once and filled anew: publish one before you ask for the next.
+    """The messages of each sample. Each object is used again: publish one before you ask for the next.
 
     Args:
-        frame_id: of joint states, coil and pressures; may be set anew. joints: names of the joints, of `JOINT_NAMES`.
+        frame_id: of joint states, coil and pressures; may be changed. joints: names of the joints, of `JOINT_NAMES`.
     """
 
     def __init__(self, frame_id: str, joints: Sequence[str] = JOINT_NAMES) -> None:

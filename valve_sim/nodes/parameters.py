@@ -194,12 +194,12 @@ class NodeSettings:
 
     @classmethod
     def values(cls, given: Mapping[str, object], sources: Mapping[str, str]) -> dict[str, Value]:
-        """The values at the start, of the whole table; arguments and errors as of `check_given`."""
+        """The values at the start, of the whole table; arguments and errors: see `check_given`."""
         return asdict(cls.read(given, sources))
 
     @classmethod
     def read(cls: type[S], given: Mapping[str, object], sources: Mapping[str, str]) -> S:
-        """The settings at the start; arguments and errors as of `check_given`."""
+        """The settings at the start; arguments and errors: see `check_given`."""
         return cls.of(check_given(given, cls.table(), sources, cls.program)).completed()
 
     @classmethod
@@ -227,10 +227,10 @@ class Declares(Protocol[S_co]):
         """Every parameter, by name."""
 
     def passes_over(self, name: str, given: Mapping[str, object]) -> bool:
-        """As of `NodeSettings`."""
+        """See `NodeSettings`."""
 
     def values(self, given: Mapping[str, object], sources: Mapping[str, str]) -> dict[str, Value]:
-        """The values at the start; arguments and errors as of `check_given`."""
+        """The values at the start; arguments and errors: see `check_given`."""
 
     def of(self, values: Mapping[str, Value]) -> S_co:
         """The node's settings among them."""

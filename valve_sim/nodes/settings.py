@@ -58,7 +58,7 @@ class IdentificationSettings(NodeSettings):
 
     @classmethod
     def passes_over(cls, name: str, given: Mapping[str, object]) -> bool:
-        """As of `NodeSettings`; a valve beside it is refused, unless it is declared by `params`."""
+        """See `NodeSettings`; a valve beside it is refused, unless it is declared by `params`."""
         return super().passes_over(name, given) and ("params" in given or not name.startswith(VALVE_KEYS))
 
     @classmethod
@@ -123,12 +123,12 @@ class MonitorNodeSettings(NodeSettings):
 
     @classmethod
     def passes_over(cls, name: str, given: Mapping[str, object]) -> bool:
-        """As of `NodeSettings`; a machine in place of the valve cannot be watched, and is refused."""
+        """See `NodeSettings`; a machine in place of the valve cannot be watched, and is refused."""
         return name != "plant" and super().passes_over(name, given)
 
     @classmethod
     def values(cls, given: Mapping[str, object], sources: Mapping[str, str]) -> dict[str, Value]:
-        """The values at the start; arguments and errors as of `check_with_valve`."""
+        """The values at the start; arguments and errors: see `check_with_valve`."""
         if given.get("plant"):
             where = f"{sources.get('plant', 'command line')}: plant"
             raise ParameterError(f"{where}: found {short(given['plant'])}; a monitor watches valves, take it out")

@@ -47,7 +47,7 @@ class ValveSettings(NodeSettings):
 
     @classmethod
     def values(cls, given: Mapping[str, object], sources: Mapping[str, str]) -> dict[str, Value]:
-        """The values at the start; arguments and errors as of `check_with_valve`."""
+        """The values at the start; arguments and errors: see `check_with_valve`."""
         return check_with_valve(given, cls.table(), sources, cls.program)
 
 

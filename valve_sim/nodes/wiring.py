@@ -123,7 +123,7 @@ class Interface:
         self._topics = {(topic.name, topic.direction): topic for topic in topics}
 
     def publisher(self, name: str, *, depth: int = 0, **places: str) -> Publisher:
-        """A publisher of a topic of the table that keeps at least `depth` messages; `places` as of the class."""
+        """A publisher of a topic of the table that keeps at least `depth` messages; `places`: see the class."""
         topic = self._topics[name, "out"]
         wanted = profile(topic.qos)
         wanted.depth = max(wanted.depth, depth)

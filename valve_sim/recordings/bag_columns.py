@@ -48,7 +48,7 @@ class BagColumns:
         self._reported: set[str] = set()
 
     def are_beside(self, first: Source, other: Source) -> bool:
-        """As of `OpenRecording`."""
+        """See `OpenRecording`."""
         return first.topic == other.topic
 
     def _topic(self, name: str) -> Topic:
@@ -62,7 +62,7 @@ class BagColumns:
         return topic
 
     def rows(self, key: str, source: Source) -> Array:
-        """As of `OpenRecording`."""
+        """See `OpenRecording`."""
         found = self._recording.types[source.topic]
         if source.type not in ("", found):
             raise TraceError(
@@ -100,7 +100,7 @@ class BagColumns:
         return np.asarray((times - self.epoch_ns) / SECOND, dtype=np.float64)
 
     def ordered(self, key: str, source: Source, use: NDArray[np.bool_], columns: Sequence[Array]) -> Sequence[Array]:
-        """As of `OpenRecording`."""
+        """See `OpenRecording`."""
         taken, delays, is_stamped = self._stamps(key, source)
         taken, delays = taken[use], delays[use]
         columns = [column[use] for column in columns]
@@ -138,17 +138,17 @@ class BagColumns:
             self.findings.append(f"{topic}: {words}")
 
     def begin(self, sources: Iterable[tuple[str, Source]]) -> None:
-        """As of `OpenRecording`."""
+        """See `OpenRecording`."""
         first = [int(np.min(self._times(key, source))) for key, source in sources]
         self.epoch_ns = min([*first, *self._samples[:1].tolist()], default=0)
 
     @property
     def sample_times(self) -> Array:
-        """As of `OpenRecording`."""
+        """See `OpenRecording`."""
         return self._since(self._samples)
 
     def readings(self, key: str, source: Source) -> Readings:
-        """As of `OpenRecording`: the last number of those of one time."""
+        """See `OpenRecording`: the last number of those of one time."""
         values, times = self.rows(key, source), self._times(key, source)
         if (times[1:] > times[:-1]).all():
             return Readings(self._since(times), values)
@@ -157,7 +157,7 @@ class BagColumns:
         return Readings(self._since(times[last]), values[last], len(times) - len(last))
 
     def commands(self, source: Source, logs: Sequence[str]) -> tuple[Drive, DriveErrors | None]:
-        """As of `OpenRecording`: as they were sent, where who sent them logged it; else as they were recorded."""
+        """See `OpenRecording`: as they were sent, where who sent them logged it; else as they were recorded."""
         volts, times = source.to_si(self.rows("command", source), "voltage"), self._times("command", source)
         finite = np.isfinite(volts)
         if not finite.any():

@@ -56,7 +56,7 @@ REST: Final = 0.1
 UNEVEN: Final = 1e-3
 """Of a step: steps that differ by more are brought to a steady rate before they are filtered."""
 LONGEST_STEP: Final = 20.0
-"""Usual steps that a filter bridges: on either side of a longer gap it begins anew."""
+"""Usual steps that a filter bridges: on either side of a longer gap it starts again."""
 DISTORTED: Final = 2.0
 """Periods of the filter's corner on either side of a gap in which it shows its beginning rather than the signal."""
 FEWEST: Final = 3 * (FILTER_ORDER + 1)
@@ -384,7 +384,7 @@ def _low_passed(values: Array, times: Array, low_pass: float, order: int = 0) ->
     """Values behind a zero-phase low-pass, or their derivatives behind it, at the times of the samples.
 
     Filters know a steady rate. Samples whose steps vary are brought to one, on straight lines, and back again. After a
-    gap the filter begins anew; too few samples between two gaps stay as they are.
+    gap the filter starts again; too few samples between two gaps stay as they are.
     """
     edges = _gaps(times) if low_pass < math.inf else []
     if edges:
@@ -413,7 +413,7 @@ def _low_passed(values: Array, times: Array, low_pass: float, order: int = 0) ->
 
 
 def _gaps(times: Array) -> list[int]:
-    """Where samples begin anew after more than `LONGEST_STEP` usual steps without one."""
+    """Where samples start again after more than `LONGEST_STEP` usual steps without one."""
     steps = np.diff(times)
     return (1 + np.flatnonzero(steps > LONGEST_STEP * np.median(steps))).tolist()
 

@@ -340,7 +340,7 @@ def unpack_chunk(chunk: Chunk) -> bytes:
     if size > min(LARGEST_CHUNK, MOST_EXPANDED * len(chunk.data) + SMALL_CHUNK):
         raise TooLargeError(
             f"a chunk of {len(chunk.data)} bytes unpacks to {size / 1e6:.6g} MB, expected at most "
-            f"{LARGEST_CHUNK / 1e6:.0f} MB and {MOST_EXPANDED} times its size; write the recording anew with smaller "
+            f"{LARGEST_CHUNK / 1e6:.0f} MB and {MOST_EXPANDED} times its size; write the recording again with smaller "
             "chunks (ros2 bag convert)"
         )
     if chunk.compression == "zstd":

@@ -21,7 +21,7 @@ SQLITE_MAGIC: Final = b"SQLite format 3\0"
 
 
 def read_database(path: Path, topics: Mapping[str, Topic]) -> Contents:
-    """Read a database up to a damage; arguments as of `mcap_files.read_records`."""
+    """Read a database up to a damage; arguments: see `mcap_files.read_records`."""
     logs = [log for end in ("-wal", "-journal") if (log := Path(f"{path}{end}")).exists() and log.stat().st_size]
     if not logs:
         return _read(f"{path.absolute().as_uri()}?immutable=1", topics)

@@ -78,40 +78,40 @@ class TableColumns:
 
     @property
     def epoch_ns(self) -> int:
-        """As of `OpenRecording`; 0 where nothing says the day."""
+        """See `OpenRecording`; 0 where nothing says the day."""
         start, origin = float(self._rows.times[self._rows.kept][0]), self._rows.origin
         return max(0, round(origin) * SECOND + round((start + origin - round(origin)) * SECOND))
 
     def are_beside(self, first: Source, other: Source) -> bool:
-        """As of `OpenRecording`."""
+        """See `OpenRecording`."""
         return first.time == other.time
 
     def rows(self, key: str, source: Source) -> Array:
-        """As of `OpenRecording`; rows that have the time of another are left out."""
+        """See `OpenRecording`; rows that have the time of another are left out."""
         self._check(key, source.column)
         return self._table.column(source.column)[self._rows_by(source.time).kept]
 
     def ordered(self, key: str, source: Source, use: NDArray[np.bool_], columns: Sequence[Array]) -> Sequence[Array]:
-        """As of `OpenRecording`."""
+        """See `OpenRecording`."""
         self._from_first = True
         self._samples = self._times(source.time)[use]
         return [column[use] for column in columns]
 
     @property
     def sample_times(self) -> Array:
-        """As of `OpenRecording`."""
+        """See `OpenRecording`."""
         return self._samples
 
     def begin(self, sources: Iterable[tuple[str, Source]]) -> None:
-        """As of `OpenRecording`."""
+        """See `OpenRecording`."""
 
     def readings(self, key: str, source: Source) -> Readings:
-        """As of `OpenRecording`."""
+        """See `OpenRecording`."""
         values = self.rows(key, source)
         return Readings(self._times(source.time), values)
 
     def commands(self, source: Source, logs: Sequence[str]) -> tuple[Drive, DriveErrors]:
-        """As of `OpenRecording`: each holds until a row has another."""
+        """See `OpenRecording`: each holds until a row has another."""
         times, volts, _ = self.readings("command", source)
         use = np.isfinite(volts)
         if not use.any():

@@ -121,7 +121,7 @@ class State:
 class Rival:
     """A model that competes with the corrected one.
 
-    `fit` and `holdout` are as of a `State`; `weight` is its posterior odds to the corrected model, at most 1.
+    `fit` and `holdout` are those of a `State`; `weight` is its posterior odds to the corrected model, at most 1.
     """
 
     fit: Fit
@@ -138,7 +138,7 @@ class Candidate:
         probability: posterior, whatever acts beside it. unnamed: the part of that beside something unnamed.
         log_evidence: ln p(data | set), without a discrepancy.
         delta_bic: −2 ln of its evidence over that of the declared model.
-        train_rmse, holdout_rmse: as of a `State`. intervals: of every freed parameter.
+        train_rmse, holdout_rmse: see `State`. intervals: of every freed parameter.
     """
 
     effects: tuple[str, ...]

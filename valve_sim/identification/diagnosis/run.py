@@ -183,7 +183,7 @@ class DiagnosisSession:
 
     Args:
         search: of the training data. held_out: what is predicted. say: told what is being done, and the fraction done.
-        again: begins anew with this noise by kind of channel; None where the data themselves have shown the noise.
+        again: starts again with this noise by kind of channel; None where the data themselves have shown the noise.
     """
 
     def __init__(
@@ -274,8 +274,8 @@ class DiagnosisSession:
             if not quieter:
                 break
             known = {kind: own for kind, own in problem.noises.items() if own.samples == 0}
-            anew = self._again({**known, **quieter})
-            self._search, self._held_out = anew._search, anew._held_out
+            restarted = self._again({**known, **quieter})
+            self._search, self._held_out = restarted._search, restarted._held_out
             self._search.run(is_full=is_full)
 
     # -- what is claimed -----------------------------------------------------------------------------------------------

@@ -60,7 +60,7 @@ class ColumnGroup:
         """Whether each one's effect has died away at the end of each stretch of samples that it acts on.
 
         Where it has not, as in strokes that follow each other without rest, it reaches samples that another one acts
-        on. Argument as of `part`.
+        on. Arguments: see `part`.
         """
         rounding = ROUNDING * float(np.max(np.abs(differences), initial=0.0))
         for start, stop in self._stretches:

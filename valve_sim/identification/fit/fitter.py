@@ -176,7 +176,7 @@ class Fitter:
         self, model: Model, values: Mapping[str, float], *, most: int = MOST, goal: float = math.inf,
         beside: Beside | None = None, damping: float = FIRST_DAMPING,
     ) -> Descended | None:  # fmt: skip
-        """A fit from a start; None where the machine cannot be simulated there. Arguments as of `descend`."""
+        """A fit from a start; None where the machine cannot be simulated there. Arguments: see `descend`."""
         try:
             return descend(model, model.at(values), self.sizes, most=most, goal=goal, beside=beside, damping=damping)
         except (SimulationError, np.linalg.LinAlgError):

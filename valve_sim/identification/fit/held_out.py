@@ -1,7 +1,7 @@
 """Prediction of held-out strokes: the proof of a corrected model, and how far off it may be.
 
 Everything of the machine that training has estimated is kept; only the errors of the held-out recording are estimated
-anew. What the training data leave open of the machine, and the held-out data of the errors of their recording, widens
+again. What the training data leave open of the machine, and the held-out data of the errors of their recording, widens
 what is predicted:
 
     Var(y_held) = noise² (1 + τ²) + Σ_k (∂y/∂a_k)²

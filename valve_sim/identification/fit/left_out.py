@@ -2,7 +2,7 @@
 
 Without a group of strokes the data's products lack those of its rows, so that each group costs two factorisations and
 no simulation. The machine, scale and bend of a sensor, the supply and what varies of the machine come from the other
-strokes; of those that are left out only clock, stamps, drift and hum are estimated anew, and by how much an effect
+strokes; of those that are left out only clock, stamps, drift and hum are estimated again, and by how much an effect
 differs in them that changes from stroke to stroke.
 """
 
@@ -202,7 +202,7 @@ def expected_log_rms(gaussian: Gaussian, parts: Sequence[Part], tau: float = 0.0
     """(g,) ln of the error that the posterior expects of each part, in standard deviations of the noise.
 
     Args:
-        gaussian, parts: as of `left_out`. tau: τ, of something unnamed.
+        gaussian, parts: see `left_out`. tau: τ, of something unnamed.
 
     Raises:
         numpy.linalg.LinAlgError: the others do not determine what is freed.

@@ -465,7 +465,7 @@ def _autoregression(
 def _products(window: Array, reflections: Sequence[float]) -> tuple[float, float]:
     """Σ f b and Σ f² + b² of what predictions of a window forward and backward leave, the latter a sample before.
 
-    They are worked out anew for each order: those of all windows of a long recording would be most of the memory.
+    They are computed again for each order: those of all windows of a long recording would be most of the memory.
     """
     forward = backward = window
     for reflection in reflections:

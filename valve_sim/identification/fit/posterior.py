@@ -256,7 +256,7 @@ class Decision(NamedTuple):
     """The claim.
 
     Attributes:
-        kind: "none", "effects", "unknown" or "insufficient". names, others: as of a `Class`; of "unknown" the leader's.
+        kind: "none", "effects", "unknown" or "insufficient". names, others: see `Class`; of "unknown" the leader's.
         probability: of what is claimed. unnamed: that something without a name acts.
     """
 
@@ -268,7 +268,7 @@ class Decision(NamedTuple):
 
 
 def leading_beside(posterior: Posterior, sizes: Mapping[str, int]) -> Class:
-    """The class that leads given that something unnamed acts beside it; `sizes` as of `simplest_of`."""
+    """The class that leads given that something unnamed acts beside it; `sizes`: see `simplest_of`."""
     weights = posterior.beside
     leading = class_of(weights, leader_of(weights, posterior.fitted))
     if not leading.names:
@@ -307,7 +307,7 @@ class Grounds:
     """All that a verdict follows from.
 
     Attributes:
-        rivals, table, odds_of_unnamed: as of `posterior_of`. sizes: as of `decide`.
+        rivals, table, odds_of_unnamed: see `posterior_of`. sizes: see `decide`.
     """
 
     rivals: Rivals

@@ -201,7 +201,7 @@ class Rows:
         """(r, k + 1) derivatives of the residuals and residuals; (k,) where the plant knows the former, else 0.
 
         Args:
-            values, directions: as of the plant's `sensitivities`.
+            values, directions: see the plant's `sensitivities`.
 
         Raises:
             SimulationError: the machine cannot be simulated with these values.
@@ -255,7 +255,7 @@ class Rows:
         """Sums over the residuals and their derivatives, of which only a piece is held; None where they are not known.
 
         Args:
-            values, directions: as of the plant's `sensitivities`; without directions no derivative is asked for.
+            values, directions: see the plant's `sensitivities`; without directions no derivative is asked for.
 
         Raises:
             SimulationError: the machine cannot be simulated with these values.
@@ -289,7 +289,7 @@ def _rows_of(piece: Piece, channel: Channel, before: Array) -> Array:
 
 
 class CondensedRows(Rows):
-    """Rows of which some stand for many samples; arguments as of `Rows`, the plant one that can be thinned."""
+    """Rows of which some stand for many samples; arguments: see `Rows`, the plant one that can be thinned."""
 
     def __init__(self, plant: Plant, weights: Sequence[Array], noises: Sequence[Noise], budget: Budget) -> None:
         super().__init__(plant, weights, noises, budget)

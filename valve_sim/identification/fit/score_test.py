@@ -102,7 +102,7 @@ def tangents(fitter: Fitter, base: Set, tried: Tried, own: Hypothesis) -> list[t
     """Each switch of a hypothesis at off, moved by its scale along the derivative, where the plant knows that.
 
     Along a move in which residuals bend a clock or a scale would seem to follow less of an effect than it does.
-    Arguments as of `moved_by`.
+    Arguments: see `moved_by`.
     """
     model = fitter.model(tuple(sorted((*base, own.name))), has_columns=False)
     z, found = model.at({**tried.values, **own.off()}), []

@@ -78,7 +78,7 @@ class Search:
 
     Args:
         problem: data and noise. progress: told what is being tried, and the fraction done.
-        held, reads_at_rest: as of `Fitter`.
+        held, reads_at_rest: see `Fitter`.
 
     Attributes:
         tried: by set. begun: sets that were given up. untried: sets that were due when the work was used up.

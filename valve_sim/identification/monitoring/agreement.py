@@ -25,7 +25,7 @@ class Agreement:
         return finding if agrees else None
 
     def forget(self) -> None:
-        """Begin anew, as for another alarm."""
+        """Start again, as for another alarm."""
         self.said = self._last = None
 
 

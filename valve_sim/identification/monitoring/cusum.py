@@ -3,7 +3,7 @@
 Each stroke gives scores that are standard normal while nothing has changed. A cumulative sum after Page (Biometrika 41,
 1954, p. 100) watches each, upwards and downwards:
 
-    S ← max(0, S + min(score, SCORE_LIMIT) − reference)        alarm at S > threshold, after which all sums begin anew.
+    S ← max(0, S + min(score, SCORE_LIMIT) − reference)        alarm at S > threshold, after which all sums start again.
 
 The threshold follows from the wanted mean number of strokes between false alarms by Siegmund's approximation
 (Sequential Analysis, 1985, section 2.6), shared out evenly among all sums (Bonferroni): scores of related effects rise

@@ -92,8 +92,8 @@ def isolate_fault(strokes: Sequence[Trace], baseline: Baseline, progress: Progre
 def _known_sizes(plant: Plant, baseline: Baseline) -> Mapping[str, float]:
     """Sizes of errors that are those of commissioning: a fault would be taken for more of them.
 
-    That is how much strokes vary. Drift is read anew while the valve rests, if it does so for long enough. Hum is
-    learned anew: over several strokes its phase is one, and it tells more than in each by itself.
+    That is how much strokes vary. Drift is read again while the valve rests, if it does so for long enough. Hum is
+    learned again: over several strokes its phase is one, and it tells more than in each by itself.
     """
     if not shows_rest(plant):
         return {name: size for name, size in baseline.error_sizes.items() if name != HUM.name}

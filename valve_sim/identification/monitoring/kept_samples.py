@@ -200,7 +200,7 @@ def joined(signals: Sequence[Signal | None], starts: Sequence[float]) -> Signal 
 
 
 def with_joined_ends(trace: Trace, strokes: Sequence[Trace], starts: Sequence[float]) -> Trace:
-    """A trace with the pressures at both ends of the valve as these strokes have them; arguments as of `joined`."""
+    """A trace with the pressures at both ends of the valve as these strokes have them; arguments: see `joined`."""
     return replace(
         trace,
         inlet_pressure=joined([stroke.inlet_pressure for stroke in strokes], starts),

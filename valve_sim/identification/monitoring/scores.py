@@ -174,7 +174,7 @@ def _scored(stroke: _Stroke, result: Fit, directions: Iterable[tuple[str, Array]
 
 
 def refitted(trace: Trace, baseline: Baseline, jitter: float | None = None) -> dict[str, Interval]:
-    """The dampings by this stroke alone, with 95 % intervals; arguments as of `score_stroke`.
+    """The dampings by this stroke alone, with 95 % intervals; arguments: see `score_stroke`.
 
     Raises:
         SimulationError: the valve cannot be simulated.

@@ -7,7 +7,7 @@ where the commissioning strokes do not contradict it; where they do, because the
 are counted from the mean and spread of those strokes (as Student's t): what is watched is then whether the valve
 changes, and `StrokeMonitor` says so. Where commands' times scatter more than at commissioning, strokes are scored with
 that scatter, and beyond a tenth of the opening time delays are not scored. An effect with a memory beyond one stroke,
-such as coil heating, begins anew with each stroke here.
+such as coil heating, starts again with each stroke here.
 """
 
 from __future__ import annotations

@@ -189,7 +189,7 @@ class CommissionedModel(ValveModel):
 def in_service(
     trace: Trace, commissioned: Commissioned, scatter: float, starts: Mapping[str, Mapping[str, float]] | None = None
 ) -> ValvePlant:
-    """A commissioned valve behind some strokes, their motion put back by the lateness; arguments as of the model."""
+    """A commissioned valve behind some strokes, their motion put back by the lateness; arguments: see the model."""
     # A leak has changed the pressure behind the valve before its first stroke, so it is estimated along.
     began = commissioned._replace(valve=with_declared_sensor(as_it_began(commissioned.valve, trace), [trace]))
     return ValvePlant([replace(trace, outlet_start=None)], CommissionedModel(began, scatter, starts), is_watched=True)

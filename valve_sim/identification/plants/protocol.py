@@ -417,7 +417,7 @@ class Plant:
         """The derivatives of what `predict` returns, as far as they are known without difference quotients.
 
         Args:
-            values: as of `predict`; every name of a direction is among them.
+            values: see `predict`; every name of a direction is among them.
             directions: at least one.
 
         Raises:
@@ -436,7 +436,7 @@ class Plant:
         Each sample of each channel is in one piece, and the pieces of a channel come in order.
 
         Args:
-            values, directions: as of `sensitivities`; without directions no derivative is asked for.
+            values, directions: see `sensitivities`; without directions no derivative is asked for.
 
         Raises:
             SimulationError: the machine cannot be simulated with these values; also while iterating.
@@ -458,7 +458,7 @@ class Plant:
         What they say is part of every hypothesis, with sizes that are learned.
 
         Args:
-            values: as of `predict`: they say when parts meet.
+            values: see `predict`: they say when parts meet.
 
         Raises:
             SimulationError: the machine cannot be simulated with these values.

@@ -219,15 +219,15 @@ class ErringRecording:
         self._is_on = np.concatenate([[False], drive.volts != 0.0])
 
     def lateness(self, values: Mapping[str, float]) -> float:
-        """Delay of the stamps of its samples, s; argument as of `factors`."""
+        """Delay of the stamps of its samples, s; arguments: see `factors`."""
         return values.get(self._offset, 0.0)
 
     def zero(self, values: Mapping[str, float]) -> float:
-        """Reading of the position sensor for a closed valve, m; argument as of `factors`."""
+        """Reading of the position sensor for a closed valve, m; arguments: see `factors`."""
         return values.get(self._zero, 0.0)
 
     def drive(self, values: Mapping[str, float]) -> Drive:
-        """The voltage as it took effect; argument as of `factors`."""
+        """The voltage as it took effect; arguments: see `factors`."""
         commands = self._commands(values)
         sag = values.get(self._supply, 0.0) / self._resistance
         if sag:
@@ -259,7 +259,7 @@ class ErringRecording:
         return any(name == self._supply or name.startswith(self._begins) for name in names)
 
     def fields(self, values: Mapping[str, float]) -> tuple[str, ...]:
-        """The numbers that have factors; argument as of `factors`."""
+        """The numbers that have factors; arguments: see `factors`."""
         return tuple(dict.fromkeys((*FIELDS, *(varies_in(name) for name in self._own(values)))))
 
     def factors(self, values: Mapping[str, float]) -> Array | None:

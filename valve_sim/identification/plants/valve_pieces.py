@@ -81,7 +81,7 @@ class Intervals(NamedTuple):
         return found
 
     def moved(self, own: Array, places: Sequence[Sequence[int]], interval: int) -> Array | None:
-        """(k, n) derivatives of these; arguments as of `values`."""
+        """(k, n) derivatives of these; arguments: see `values`."""
         if self.numbers is None or self.slopes is None:
             return None
         found = self.numbers.copy()

@@ -49,7 +49,7 @@ class MovingValve(NamedTuple):
 def moving_valve(
     model: ValveModel, values: Mapping[str, float], directions: Sequence[Direction], *, has_current: bool
 ) -> MovingValve:
-    """The valve at some values; arguments as of a plant's `sensitivities`, without directions as of its `predict`.
+    """The valve at some values; arguments: see a plant's `sensitivities`, without directions those of its `predict`.
 
     Raises:
         SimulationError: the coil has no resistance.

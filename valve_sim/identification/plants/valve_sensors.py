@@ -211,7 +211,7 @@ class Recorded(NamedTuple):
 
 
 def recorded(valve: Valve, trace: Trace, drive: Drive, offset: float) -> Recorded:
-    """A valve as a trace recorded it, which rests until the first command or sample; arguments as of `shown_by`."""
+    """A valve as a trace recorded it, which rests until the first command or sample; arguments: see `shown_by`."""
     firsts = [trace.sample_times[:1]]
     if trace.outlet_pressure is not None:
         firsts.append(trace.outlet_pressure.times[:1])
@@ -357,7 +357,7 @@ def rated_current_of(valve: Valve) -> float:
 
 
 def contacts(valve: Valve, trace: Trace, drive: Drive, offset: float) -> Contacts:
-    """When plungers of a valve meet the body, and with which momentum; arguments as of `shown_by`.
+    """When plungers of a valve meet the body, and with which momentum; arguments: see `shown_by`.
 
     Raises:
         SimulationError: the simulation could not be carried to its end.
@@ -383,7 +383,7 @@ def contacts(valve: Valve, trace: Trace, drive: Drive, offset: float) -> Contact
 
 
 def followed(valve: Valve, trace: Trace, drive: Drive, offset: float) -> Array:
-    """The pilot plunger's positions at the samples by which a trace is judged, m; arguments as of `shown_by`.
+    """The pilot plunger's positions at the samples by which a trace is judged, m; arguments: see `shown_by`.
 
     Raises:
         SimulationError: the simulation could not be carried to its end.

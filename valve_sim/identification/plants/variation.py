@@ -102,7 +102,7 @@ def group_factors(channel: Channel, what: str, values: Mapping[str, float]) -> A
     """(n,) 1 + δ of something that varies, at each sample of a channel; 1 where the values say nothing of it.
 
     Args:
-        channel: of the plant. what: as `group_variations` has it. values: as of `predict`.
+        channel: of the plant. what: as `group_variations` has it. values: see `predict`.
     """
     found = np.ones(len(channel.times))
     for number in np.unique(channel.group).tolist():

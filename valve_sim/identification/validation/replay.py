@@ -398,7 +398,7 @@ class Motion(NamedTuple):
 
 
 def motion_of(valve: Valve, trace: Trace, drive: Drive, times: Array, start: float, offset: float) -> Motion:
-    """The motion at (n,) stamps of samples, s, of a valve that rests until a start, s; arguments as of `response_to`.
+    """The motion at (n,) stamps of samples, s, of a valve that rests until a start, s; arguments: see `response_to`.
 
     Raises:
         SimulationError: the valve cannot be simulated.

@@ -136,7 +136,7 @@ def stage_states(own: Block, stride: int, h: float, stage: int, states: int) -> 
 
 
 def end_states(own: Block, stride: int, h: float, states: int) -> None:
-    """The states but for the density at the end of a step, or their tangents; arguments as of `stage_states`."""
+    """The states but for the density at the end of a step, or their tangents; arguments: see `stage_states`."""
     for j in range(states):
         total = 0.0
         for i in range(at.STAGES):

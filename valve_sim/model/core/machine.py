@@ -161,7 +161,7 @@ def _initialise() -> None:
 
 
 def compiled(text: str, effort: int = AS_A_WHOLE) -> bytes:
-    """The object file of a text; `effort` as of `library`."""
+    """The object file of a text; `effort`: see `library`."""
     machine = _target_machine(min(effort, WELL))
     module = llvm.parse_assembly(text)
     module.verify()

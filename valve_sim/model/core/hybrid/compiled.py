@@ -153,7 +153,7 @@ class Compiled:
         return found
 
     def begin(self, block: Array, states: Array, numbers: Array, changes: Changes, tolerance: float) -> None:
-        """Make a block that of a machine at its start; arguments as of `run`."""
+        """Make a block that of a machine at its start; arguments: see `run`."""
         block[: at.COPIED] = self._blank
         block[at.STATE : at.STATE + len(states)] = states
         block[at.PEAK : at.PEAK + len(states)] = np.abs(states)
@@ -166,7 +166,7 @@ class Stepped:
     """A machine that is run in pieces, with inputs that hold: the same run to the last bit.
 
     Args:
-        compiled: without directions. states, numbers, changes, tolerance: as of `Compiled.run`; the first of the
+        compiled: without directions. states, numbers, changes, tolerance: see `Compiled.run`; the first of the
             changes alone is taken.
 
     Attributes:

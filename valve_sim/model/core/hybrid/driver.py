@@ -38,7 +38,7 @@ POLISHED: Final = 4
 EDGE: Final = 1e-9
 """Of the jump across a switch: a rate so small does not hold the state on it."""
 ROUNDS: Final = 12
-"""Times that switches are decided anew, as one may depend on another."""
+"""Times that switches are decided again, as one may depend on another."""
 LOWER, UPPER, BETWEEN = 0, 1, 2
 """Sides of a switch."""
 SPACING: Final = 1.2e-16
@@ -480,7 +480,7 @@ def drive(
     b: Block, t: Block, changes: Block, change_count: int, end: float, most: float, times: Block, count: int,
     rows: Block, slopes: Block, events: Block, room: int,
 ) -> int:  # fmt: skip
-    """Step a machine through changes of its inputs to a time, s; arguments and outcome as of `run`.
+    """Step a machine through changes of its inputs to a time, s; arguments and outcome: see `run`.
 
     changes: (change_count, 1 + 2 inputs) s, and a value and a slope of each input; the first is that of the start.
     """

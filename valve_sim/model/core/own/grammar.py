@@ -84,7 +84,7 @@ def parse(text: str, modes: Modes = MappingProxyType({})) -> Expr:
 
 
 def parse_comparison(text: str, modes: Modes = MappingProxyType({})) -> Expr:
-    """The comparison, ">" of two sides, that a text is; errors as of `parse`."""
+    """The comparison, ">" of two sides, that a text is; errors: see `parse`."""
     return _Parser(text, modes).whole_comparison()
 
 
