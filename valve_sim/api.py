@@ -332,7 +332,8 @@ def _few_threads() -> Iterator[None]:
         if find_spec("threadpoolctl"):  # which has no rosdep key
             from threadpoolctl import threadpool_limits
 
-            stack.enter_context(threadpool_limits(int(os.environ["OPENBLAS_NUM_THREADS"]), "blas"))
+            asked = os.environ.get("OPENBLAS_NUM_THREADS", "")
+            stack.enter_context(threadpool_limits(max(1, int(asked)) if asked.isdecimal() else 1, "blas"))
         yield
 
 
