@@ -12,10 +12,12 @@ from plants.laboratory import Laboratory, measure, true_sizes
 from plants.recording import holdout_profile, train_profile
 from plants.tolerances import SHEET_VALVE, declared_tolerances
 
+from benchmarks.campaign.cases import draw_case
 from benchmarks.campaign.declared import as_trace, declared_valve
+from identification.recordings import Short
 from valve_sim.files.json_text import plain
 from valve_sim.identification.diagnosis.recording_state import state_of_recording
-from valve_sim.identification.diagnosis.run import Diagnosis, diagnose
+from valve_sim.identification.diagnosis.run import Diagnosis, diagnose, diagnose_plant
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.diagnosis_document import diagnosis_document
 from valve_sim.identification.reporting.page import write_page
@@ -64,6 +66,25 @@ def test_nothing_is_missing(found: Diagnosis) -> None:
 def test_held_out_strokes_are_predicted_to_the_noise(found: Diagnosis) -> None:
     noise = found.before.fit.problem.noise.sigma
     assert found.after.holdout_rmse < 1.2 * noise
+
+
+@pytest.mark.long
+def test_what_changes_over_the_strokes_is_said_although_something_has_no_name() -> None:
+    """Both dampings grow within the strokes, too, which none of the errors of a recording does."""
+    case = draw_case("uncatalogued", 4763)
+    traces = [as_trace(own, f"bag {number}") for number, own in enumerate(case.recordings(), 1)]
+    few = ("pressure_force", "quadratic_drag")
+    found = diagnose_plant(*(Short([trace], case.declared, few) for trace in traces))
+    assert found.verdict.kind == "unknown"
+    (words,) = re.findall(
+        r"State of the recording bag 1\n.*\n *Pilot damping grows over the strokes by (\d+) %; "
+        r"main damping grows over the strokes by (\d+) %\. This may be what has no name",
+        str(diagnosis_document(found).to_text()),
+    )
+    # From stroke to stroke 60 ms pass.
+    [rise] = [8 * 0.060 * own["rate"] for own in case.effects.values()]
+    truth = [rise / case.dampings[name] for name in ("pilot_damping", "main_damping")]
+    assert [float(word) / 100.0 for word in words] == pytest.approx(truth, rel=0.3)
 
 
 @pytest.mark.long

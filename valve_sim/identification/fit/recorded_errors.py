@@ -52,6 +52,7 @@ class RecordedError:
         detail: what else is known: the frequency of a mount, or what varies from stroke to stroke.
         at, shown: (n,) and (n,) a picture of it: what it adds over time, s, over what is shown, or by stroke.
         over: what `at` is: "time", "position" or "stroke"; empty where there is no picture.
+        changes: how what varies follows the strokes, a phrase each; they are in `detail`, too.
     """
 
     recording: int
@@ -68,6 +69,7 @@ class RecordedError:
     at: Array = field(default_factory=lambda: np.empty(0), compare=False, repr=False)
     shown: Array = field(default_factory=lambda: np.empty(0), compare=False, repr=False)
     over: str = ""
+    changes: tuple[str, ...] = ()
 
     @property
     def is_likely(self) -> bool:
@@ -238,8 +240,10 @@ def _with_trend(entry: RecordedError, result: Fit, group: Group) -> RecordedErro
     """What varies from stroke to stroke, with how it changes where its deviations are no draws."""
     if group.error != VARIATION or not entry.is_likely:
         return entry
-    trends = [_in_words(name, change) for name, change in changes_in(result, group, entry.size).items()]
-    return replace(entry, detail="; ".join((entry.detail, *trends)), what_to_do=STEADY) if trends else entry
+    changes = tuple(_in_words(name, change) for name, change in changes_in(result, group, entry.size).items())
+    if not changes:
+        return entry
+    return replace(entry, detail="; ".join((entry.detail, *changes)), what_to_do=STEADY, changes=changes)
 
 
 def _in_words(name: str, change: Change) -> str:

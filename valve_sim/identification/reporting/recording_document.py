@@ -41,6 +41,8 @@ UNTOLD: Final = (
     "be relied on."
 )
 """A warning about the sizes, if something unnamed acts."""
+MAY_BE_IT: Final = "This may be what has no name: look for something that warms, settles or wears."
+"""What changes over the strokes, if something unnamed acts."""
 LEGEND: Final = (
     "Errors of sensors, clocks and supply are no effects of the valve. They are estimated together with every "
     "hypothesis. The probability is that the error is present; the size of an improbable error is an upper limit."
@@ -88,6 +90,9 @@ def recording_sections(
     words.append(Words(LEGEND, style="soft", on="page"))
     for source, entries in errors.items():
         table = errors_table(entries, noise, unit, is_brief=True, on="page" if is_unknown else "both")
+        changes = [change for entry in entries for change in entry.changes] if is_unknown else []
+        if changes:
+            words.append(Words(f"{capitalised('; '.join(changes))}. {MAY_BE_IT}"))
         yield Chapter(f"State of the recording {source}", [*words, table] if entries else [])
         words = []
     told = {source: [_entry_json(entry) for entry in entries] for source, entries in errors.items()}
