@@ -13,6 +13,7 @@ import pytest
 from identification.recordings import COARSER, FEW, Short, recorded
 from valve_sim.files.parameter_files import default_valve, load_valve
 from valve_sim.files.recording_map import load_map
+from valve_sim.identification.fit import correction as correction_module
 from valve_sim.identification.fit import remains
 from valve_sim.identification.fit.correction import (
     Correction,
@@ -94,6 +95,16 @@ def test_what_the_budget_cuts_short_is_said(monkeypatch: pytest.MonkeyPatch) -> 
     assert not correction.is_refitted
     assert correction.cut_short == ("look-alikes", "refits without each condition")
     assert budget.spent == spent
+
+
+def test_what_all_but_one_condition_do_not_determine_has_no_predicted_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    def undetermined(*_: object) -> float:
+        raise np.linalg.LinAlgError("the information is not positive")
+
+    monkeypatch.setattr(correction_module, "expected_log_rms", undetermined)
+    correction, _ = closed(searched())
+    assert math.isnan(correction.predicted)
+    assert (correction.names, correction.is_applied) == (("coulomb_friction",), True)
 
 
 def test_how_far_a_correction_changes_pulses_that_nobody_recorded_is_told() -> None:

@@ -522,12 +522,18 @@ def _refits(fit: Descended, parts: Sequence[Part]) -> list[float]:
 
 
 def _predicted(scoring: Scoring, names: Set) -> float:
-    """What the posterior expects of the error of unseen conditions, in the response's unit; nan where none are."""
+    """What the posterior expects of the error of unseen conditions, in the response's unit; nan where it cannot say.
+
+    That is where there are none, and where all but one of them do not determine what is freed.
+    """
     if names not in scoring.scores:
         return math.nan
     tried = scoring.tried[names]
     tau = tried.spread.tau if tried.spread.log_evidence > tried.plain else 0.0
-    logs = expected_log_rms(tried.fit.gaussian, scoring.parts, tau)
+    try:
+        logs = expected_log_rms(tried.fit.gaussian, scoring.parts, tau)
+    except np.linalg.LinAlgError:
+        return math.nan
     return scoring.search.problem.noise.innovation * math.exp(float(np.mean(logs)))
 
 
