@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from functools import cached_property
 from typing import Final
 
@@ -218,7 +219,7 @@ class Search:
             return False
         self._fit_all(sets)
         if not is_all:
-            self._fit_all(self._beside_plainest(base), plainly=True)
+            self._try_beside_plainest(base)
         best = self.best(len(base) + 1)
         if best is None:
             return False
@@ -271,17 +272,22 @@ class Search:
             if gain > 0.0
         ]
 
-    def _beside_plainest(self, base: Set) -> list[Set]:
-        """What may act beside the set that explains most by itself: what is beside something unnamed may follow that.
+    def _try_beside_plainest(self, base: Set) -> None:
+        """Fit what may act beside the set that explains most by itself, and keep it if that is far better.
 
-        (A sensor's delay beside a force leaves more than saturation does, which a process then makes up for.)
+        (A sensor's delay beside a force leaves more than saturation does, for whose remainder a process makes up. Where
+        it is not, more sets that fit well by chance only hide which one predicts.)
         """
-        plainest = max(
-            (names for names in self.tried if len(names) == len(base)), key=lambda own: self.tried[own].plain
-        )
+        alike = [names for names in self.tried if len(names) == len(base)]
+        plainest = max(alike, key=lambda own: self.tried[own].plain)
         if plainest == base:
-            return []
-        return [added(plainest, name) for name, gain in self.gains(plainest).items() if gain > 0.0]
+            return
+        known, gains = set(self.tried), self.gains(plainest)
+        self._fit_all((added(plainest, name) for name in gains if gains[name] > 0.0), plainly=True)
+        new = self.tried.keys() - known
+        rest = max((self.log_weight(own) for own in known if len(own) > len(base)), default=-math.inf)
+        if max(map(self.log_weight, new), default=math.inf) < rest + NEAR:
+            self.begun |= {names: replace(self.tried.pop(names), is_fitted=False) for names in new}
 
     def _may_show(self, name: str, gain: float) -> bool:
         """Whether the data show a hypothesis at all: of a declared value they may say nothing."""
