@@ -499,6 +499,15 @@ def test_columns_with_times_of_their_own_are_read_by_these(tmp_path: Path, made:
     np.testing.assert_allclose(found.coil_current.times, late, atol=1e-9)
     np.testing.assert_allclose(found.drive.times[1:], made.true_command_times, atol=1e-4)
     assert not [words for words in found.findings if "empty" in words or "dropped" in words]
+    # Beside rows of a rate, too, in s.
+    rates = draft.replace(re.search(r"^time: .*$", draft, re.MULTILINE)[0], "time: {rate: 1000}")
+    first = head.split(";", maxsplit=1)[0]
+    (tmp_path / "map.yaml").write_text(
+        re.sub(r"^(command: {[^}]*)}", rf"\1, time: {first}}}", rates, flags=re.MULTILINE)
+    )
+    again = read_trace(path, None, load_map(tmp_path / "map.yaml"))
+    np.testing.assert_allclose(again.drive.times, found.drive.times, atol=1e-9)
+    np.testing.assert_allclose(again.times, found.times, atol=1e-9)
     # What is not in a column of a table has its own clock already.
     (tmp_path / "map.yaml").write_text("command: /u\nposition: {topic: /x, time: t}\n")
     with pytest.raises(MapError, match=r"position\.time: is a column; messages of a bag have their own"):

@@ -54,7 +54,9 @@ class TableColumns:
         It is read after the first column of values, so that what is wrong with that is said first.
         """
         if clock not in self._times_of:
-            axis = replace(self._axis, columns=(clock,), units=self._axis.units[:1]) if clock else self._axis
+            axis = self._axis
+            if clock:
+                axis = replace(axis, columns=(clock,), units=axis.units[:1], rate=0.0)
             for column in axis.columns:
                 self._check("time", column)
             found = self._times_of[clock] = self._table.row_times(axis, may_end=self._has_clocks)
