@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -490,7 +491,7 @@ def test_columns_with_times_of_their_own_are_read_by_these(tmp_path: Path, made:
     path = tmp_path / "log.csv"
     path.write_text("\n".join([head, *(";".join(row) for row in zip(*cells, strict=True))]) + "\n")
     draft = draft_map(path, VALVE, "valve-sim map")
-    assert draft.count("has steps of its own, and is taken for the time of the columns after it") == 2
+    assert draft.count("is another column of times, and is taken for that of the columns after it") == 2
     (tmp_path / "map.yaml").write_text(draft)
     found = read_trace(path, None, load_map(tmp_path / "map.yaml"))
     np.testing.assert_allclose(found.times, made.times, atol=1e-9)
@@ -512,6 +513,25 @@ def test_columns_with_times_of_their_own_are_read_by_these(tmp_path: Path, made:
     (tmp_path / "map.yaml").write_text("command: /u\nposition: {topic: /x, time: t}\n")
     with pytest.raises(MapError, match=r"position\.time: is a column; messages of a bag have their own"):
         load_map(tmp_path / "map.yaml")
+
+
+@pytest.mark.parametrize("every", [1.0, 1.0 / 20.0], ids=["each ms", "as the other"])
+def test_a_clock_may_count_milliseconds_or_be_longer_than_another(
+    tmp_path: Path, made: Recording, every: float
+) -> None:
+    """A column of whole milliseconds is no counter of rows where it bears the name of the column of times."""
+    end = 1e3 * made.times[-1]
+    clock = np.arange(0.0, end, every)
+    volts = np.append(0.0, made.volts)[np.searchsorted(1e3 * made.command_times, clock, side="right")]
+    lifts = zip(1e3 * made.times[:-3], 1e3 * made.pilot_position[:-3], strict=True)
+    rows = itertools.zip_longest(lifts, zip(clock, volts, strict=True), fillvalue=("", ""))
+    path = tmp_path / "log.csv"
+    path.write_text(
+        "Time [ms];Lift [mm];Time [ms];Voltage [V]\n" + "".join(f"{a};{b};{c};{d}\n" for (a, b), (c, d) in rows)
+    )
+    (tmp_path / "map.yaml").write_text(draft_map(path, VALVE, "valve-sim map"))
+    found = read_trace(path, None, load_map(tmp_path / "map.yaml"))
+    np.testing.assert_allclose(found.drive.times[1:], made.true_command_times, atol=1.1e-3 * every)
 
 
 DRAFTED = {

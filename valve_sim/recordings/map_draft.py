@@ -364,14 +364,23 @@ def _time_line(table: DataTable) -> tuple[list[str], list[Series]]:
         )
     axis = time_axis(Entries("", MapError), entry)
     taken = columns.get(axis.columns[0]) if len(axis.columns) == 1 else None
-    clocks = [] if taken is None else [name for name, own in columns.items() if _is_another_clock(own, _begun(taken))]
+    clocks = (
+        []
+        if taken is None
+        else [
+            name
+            for name, own in columns.items()
+            if name not in axis.columns
+            and _is_another_clock(own, _begun(taken), is_time=name.startswith(axis.columns[0]))
+        ]
+    )
     others = {name: own for name, own in columns.items() if name not in (*axis.columns, *clocks)}
     series = table_series(table, others, _clock_of(table.names, axis, clocks))
     steps = np.diff(table.row_times(axis, may_end=bool(clocks)).times)
     rate = 1.0 / float(np.median(steps[steps > 0.0]))
     lines = [f"# {rate:.6g} rows a second; {reason}", f"time: {_yaml(entry)}"]
     lines += [
-        f"# CHECK: {name} has steps of its own, and is taken for the time of the columns after it" for name in clocks
+        f"# CHECK: {name} is another column of times, and is taken for that of the columns after it" for name in clocks
     ]
     return lines, series
 
@@ -392,14 +401,20 @@ def _clock_of(names: Sequence[str], axis: TimeAxis, clocks: Sequence[str]) -> di
     return found
 
 
-def _is_another_clock(values: Array, taken: Array) -> bool:
-    """Whether a column grows by equal steps, as times do, from about where a column of times begins, but is another."""
+def _is_another_clock(values: Array, taken: Array, *, is_time: bool) -> bool:
+    """Whether a column grows by equal steps, as times do, from about where a column of times begins, but is another.
+
+    One that counts rows is none, unless its name is that of the column of times.
+    """
     seen = values[np.isfinite(values)]
     steps, usual = np.diff(seen), float(np.median(np.diff(taken)))
-    if len(steps) < MOST_LEVELS or not np.ptp(steps) < 0.01 * abs(float(steps.mean())) or (steps == 1.0).all():
+    if len(steps) < MOST_LEVELS or not np.ptp(steps) < 0.01 * abs(float(steps.mean())):
+        return False
+    if (steps == 1.0).all() and not is_time:
         return False
     begins_near = abs(float(seen[0] - taken[0])) < MOST_LEVELS * usual
-    return bool(begins_near and (seen[0] != taken[0] or abs(float(steps.mean()) - usual) > 0.01 * usual))
+    is_other = seen[0] != taken[0] or len(seen) != len(taken) or abs(float(steps.mean()) - usual) > 0.01 * usual
+    return bool(begins_near and is_other)
 
 
 def _refuse_one_value_a_row(table: DataTable, names: Iterable[str]) -> None:

@@ -372,8 +372,11 @@ class DiagnosisSession:
     def _lowers_held_out_error(self, correction: Correction) -> bool:
         """Whether a correction that left-out strokes do not confirm lowers the error of held-out ones by a third.
 
-        (Where each stroke has errors of its own, such as stamps that scatter, these follow what the model lacks.)
+        (Where each stroke has errors of its own, such as stamps that scatter, these follow what the model lacks.) What
+        raises the error of left-out strokes is not helped by held-out ones.
         """
+        if correction.after >= correction.before:
+            return False
         fits = [self._held_out.fit(correction.tried[names].result) for names in ((), correction.names)]
         errors = [math.log(rmse(own)) for own in fits if own is not None]
         return len(errors) == len(fits) and errors[0] - errors[1] >= FALLS
