@@ -49,10 +49,10 @@ class RecordedError:
         recording: its number. error: which, by its name in report.json. title: for people.
         size, stderr: posterior mean and standard deviation, SI. low, high: 95 % interval. unit: SI.
         probability: of the error against its absence. what_to_do: one sentence.
-        detail: what else is known: the frequency of a mount, or what varies from stroke to stroke.
+        about: what else is known: the frequency of a mount, or what varies from stroke to stroke.
         at, shown: (n,) and (n,) a picture of it: what it adds over time, s, over what is shown, or by stroke.
         over: what `at` is: "time", "position" or "stroke"; empty where there is no picture.
-        changes: how what varies follows the strokes, a phrase each; they are in `detail`, too.
+        changes: how what varies follows the strokes, a phrase each.
     """
 
     recording: int
@@ -65,11 +65,16 @@ class RecordedError:
     unit: str
     probability: float
     what_to_do: str
-    detail: str = ""
+    about: str = ""
     at: Array = field(default_factory=lambda: np.empty(0), compare=False, repr=False)
     shown: Array = field(default_factory=lambda: np.empty(0), compare=False, repr=False)
     over: str = ""
     changes: tuple[str, ...] = ()
+
+    @property
+    def detail(self) -> str:
+        """What else is known, and how it follows the strokes."""
+        return "; ".join(filter(None, (self.about, *self.changes)))
 
     @property
     def is_likely(self) -> bool:
@@ -241,9 +246,7 @@ def _with_trend(entry: RecordedError, result: Fit, group: Group) -> RecordedErro
     if group.error != VARIATION or not entry.is_likely:
         return entry
     changes = tuple(_in_words(name, change) for name, change in changes_in(result, group, entry.size).items())
-    if not changes:
-        return entry
-    return replace(entry, detail="; ".join((entry.detail, *changes)), what_to_do=STEADY, changes=changes)
+    return replace(entry, what_to_do=STEADY, changes=changes) if changes else entry
 
 
 def _in_words(name: str, change: Change) -> str:
