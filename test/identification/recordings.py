@@ -25,13 +25,15 @@ TRUTH = {"pilot_damping": 1.4, "main_damping": 3.2}
 
 
 class Short(ValvePlant):
-    """A valve of whose catalogue few effects are tried, all declared values and no curves."""
+    """A valve of whose catalogue few effects are tried, all declared values and, unless told, no curves."""
 
-    force_maps: Sequence[ForceMap] = ()  # type: ignore[assignment]
-
-    def __init__(self, traces: Sequence[Trace], valve: Valve, few: Sequence[str]) -> None:
+    def __init__(self, traces: Sequence[Trace], valve: Valve, few: Sequence[str], *, with_curves: bool = False) -> None:
         super().__init__(traces, valve)
-        self._few = few
+        self._few, self._with_curves = few, with_curves
+
+    @property
+    def force_maps(self) -> Sequence[ForceMap]:  # type: ignore[override]
+        return super().force_maps if self._with_curves else ()
 
     @functools.cached_property
     def effects(self) -> Mapping[str, EffectChoice]:  # type: ignore[override]

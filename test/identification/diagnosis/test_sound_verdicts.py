@@ -78,6 +78,18 @@ def test_two_effects_that_were_lost_are_corrected(seed: int, few: tuple[str, ...
 
 
 @pytest.mark.long
+def test_a_force_in_place_of_all_names_is_weighed_where_a_name_imitates_it() -> None:
+    """A ripple of 0.4 mN: the first steps of a curve's fit have to be damped, and say little of where it ends."""
+    case = draw_case("weak", 4516)
+    train, held_out = (
+        Short([as_trace(own, f"bag {number}")], case.declared, ("constant_force",), with_curves=True)
+        for number, own in enumerate(case.recordings())
+    )
+    table = diagnose_plant(train, held_out).grounds.table
+    assert table[()].forced > table["constant_force",].plain - 15.0
+
+
+@pytest.mark.long
 def test_a_sample_at_the_command_of_an_instant_coil_makes_no_effect() -> None:
     valve = default_valve().with_values(coil_time_constant=0.0)
     profile = train_profile()

@@ -26,7 +26,8 @@ FAR_WITH_GAS: Final = 10.0
 pressure as a smaller orifice or a larger volume would."""
 PRUNED: Final = 10.0
 """Times the last decrease, or the next that is promised, beyond which a goal is out of reach: each decrease is smaller
-than the one before, and where by a tenth of it, all that are left come to ten."""
+than the one before, and where by a tenth of it, all that are left come to ten. (Not asked of a
+damped step: a fit that begins with these gains more later.)"""
 FEWEST: Final = 2
 """Linearisations before it is asked whether a goal can still be reached."""
 MOST: Final = 40
@@ -113,7 +114,7 @@ def _lowered(
         least = here.cost - PRUNED * max(gain, decrease)
         if gain < CONVERGED:
             return Descended(here, converged=True, least=here.cost, damping=damping)
-        if made >= FEWEST and least > effort.goal:
+        if made >= FEWEST and damping <= FIRST_DAMPING and least > effort.goal:
             break
         found = _tried(there, np.clip(here.z + move, here.lower, here.upper))
         if found is None or not found.cost < here.cost:
