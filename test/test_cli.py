@@ -278,7 +278,7 @@ def test_diagnose_within_a_small_budget_claims_nothing_and_says_what_it_left(tmp
     assert untried
     assert report["work"]["allowed"] == 4000.0
     told = " ".join(output.split())
-    assert f"{len(untried)} sets were left untried" in told
+    assert f"{len(untried)} sets were not tried" in told
     assert f": {untried[0]}" in told
     page = html.unescape((tmp_path / "report.html").read_text())
     assert all(f"<li>{what}</li>" in page for what in untried)

@@ -33,7 +33,7 @@ FIRST_LISTED: Final = 8
 """Of them, those that are shown at once; the others unfold."""
 _VERDICTS: Final = {
     "none": "nothing missing", "effects": "effects found", "partly": "corrected in part",
-    "unknown": "something without a name", "insufficient": "cannot be told",
+    "unknown": "an unmodelled effect", "insufficient": "cannot be told",
 }  # fmt: skip
 
 

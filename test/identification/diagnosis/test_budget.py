@@ -60,7 +60,7 @@ def test_a_diagnosis_keeps_to_its_budget_and_says_what_it_left(strokes: float, p
     assert found.allowed == strokes
     assert diagnosis_document(found).to_json()["untried"] == list(found.untried)
     assert (
-        f"{len(found.untried)} sets were left untried, by the budget or because they cannot be simulated"
+        f"{len(found.untried)} sets were not tried, because the budget ended or they cannot be simulated"
         in summarise(found)
     )
     assert found.verdict.probability <= whole.verdict.probability + 1e-3

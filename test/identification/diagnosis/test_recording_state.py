@@ -78,7 +78,7 @@ def test_what_changes_over_the_strokes_is_said_although_something_has_no_name() 
     assert found.verdict.kind == "unknown"
     (words,) = re.findall(
         r"State of the recording bag 1\n.*\n *Pilot damping grows over the strokes by (\d+) %; "
-        r"main damping grows over the strokes by (\d+) %\. This may be what has no name",
+        r"main damping grows over the strokes by (\d+) %\. This may be the unmodelled effect",
         str(diagnosis_document(found).to_text()),
     )
     # From stroke to stroke 60 ms pass.

@@ -185,12 +185,12 @@ def test_where_a_standard_error_does_not_describe_the_interval_the_interval_is_t
 
 
 def test_what_one_of_several_effects_explains_is_a_statement_of_its_own(diagnosis: Diagnosis) -> None:
-    worth = "less than 1 % of what all named effects explain"
+    worth = "less than 1 % of the improvement"
     meaning = meanings(diagnosis)["coulomb_friction"]
     meaning["amounts"]["explains"] = worth
     told = meaning_entry("coulomb_friction", meaning, ()).blocks[0]
     assert isinstance(told, Words)
-    assert told.text.endswith(f"4 % of the spring preload; it explains {worth}.")
+    assert told.text.endswith(f"4 % of the spring preload; it accounts for {worth}.")
 
 
 def test_where_the_budget_ended_the_recording_is_not_blamed(diagnosis: Diagnosis) -> None:

@@ -49,7 +49,7 @@ class RecordedError:
         recording: its number. error: which, by its name in report.json. title: for people.
         size, stderr: posterior mean and standard deviation, SI. low, high: 95 % interval. unit: SI.
         probability: of the error against its absence. what_to_do: one sentence.
-        about: what else is known: the frequency of a mount, or what varies from stroke to stroke.
+        about: what else is known: which sensor, the frequency of a mount, or what varies from stroke to stroke.
         at, shown: (n,) and (n,) a picture of it: what it adds over time, s, over what is shown, or by stroke.
         over: what `at` is: "time", "position" or "stroke"; empty where there is no picture.
         changes: how what varies follows the strokes, a phrase each.
@@ -234,11 +234,15 @@ def _samples_of(group: Group, result: Fit, places: NDArray[np.intp]) -> Array:
 
 
 def _detail(group: Group, result: Fit) -> str:
-    """The frequency of a mount, or what varies."""
+    """The sensor, where several have the error; the frequency of a mount; or what varies."""
     if isinstance(group.key, str):
         return "" if group.error == "supply" else _what(group.key.partition("[")[0])
     modes = result.problem.columns.modes.get(group.key, ()) if group.error == "ringing" else ()
-    return " and ".join(f"{mode.frequency:.0f} Hz" for mode in modes)
+    channels = result.problem.plant.channels
+    alike = {channels[other.key].kind for other in result.problem.columns.groups.values()
+             if other.error == group.error and isinstance(other.key, int)}  # fmt: skip
+    sensor = [channels[group.key].kind.replace("_", " ")] if len(alike) > 1 else []
+    return ", ".join([*sensor, *([" and ".join(f"{mode.frequency:.0f} Hz" for mode in modes)] if modes else [])])
 
 
 def _with_trend(entry: RecordedError, result: Fit, group: Group) -> RecordedError:

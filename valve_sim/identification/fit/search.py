@@ -194,7 +194,7 @@ class Search:
         near = [names for names in reversed(leading) if forces.is_near(self.tried[names])]
         beside = forces.forces_beside(self.fitter, self.tried[near[0]]) if near else []
         for names in near:
-            self._say(f"{words(names)}, and a force without a name", self._done)
+            self._say(f"{words(names)}, and an unmodelled force", self._done)
             self.forced[names] = forces.log_evidence_beside(self.fitter, self.tried[names], beside)
         if leading[-1]:
             # Far from the data a curve has to be fitted.

@@ -37,7 +37,7 @@ OVER: Final = {"x": "the position", "v": "the velocity", "t": "time"}
 
 def certainty(verdict: Verdict) -> tuple[str, bool]:
     """How sure the verdict is, in a few words, and whether it is sure enough to act on."""
-    fixed = {"unknown": "Something without a name", "partly": "Corrected in part"}
+    fixed = {"unknown": "An unmodelled effect", "partly": "Corrected in part"}
     if verdict.kind == "insufficient":
         return "The budget ended too soon" if verdict.is_cut_short else "The data cannot tell", False
     if verdict.kind in fixed:
@@ -67,7 +67,7 @@ def headline(diagnosis: Diagnosis) -> str:
         case "unknown":
             share = f"which explains {percent(verdict.share)} of the squared error beyond noise"
             closest = f" The nearest is {nearest}, {share}." if nearest else ""
-            return f"Something acts that no effect of the catalogue explains.{closest}"
+            return f"No effect of the catalogue explains the data.{closest}"
     claim = f"The model {what_is_missing(verdict.effects, declared_effects(diagnosis.plant))}"
     if verdict.probability < EVEN:
         claim = f"Perhaps t{claim[1:]}"
@@ -98,7 +98,7 @@ def _partly(diagnosis: Diagnosis) -> str:
     before, after = (quantity(size, unit) for size in (correction.before, correction.after))
     error = f": the error of unseen strokes falls from {before} to {after}" if correction.conditions else ""
     if is_curve(correction.names):
-        return f"Corrected by a force over {curve_words(correction)} that has no name{error}."
+        return f"Corrected by an unmodelled force over {curve_words(correction)}{error}."
     like = [grade.effect for grade in diagnosis.grades if grade.word != "possible"]
     rest = [grade.effect for grade in diagnosis.grades if grade.word == "possible"]
     if not like:
@@ -129,7 +129,8 @@ def grounds(diagnosis: Diagnosis) -> Iterator[str]:
         yield recording_advice(diagnosis)
     if untried:
         few = ", ".join(untried[:SHOWN_UNTRIED]) + (", ..." if len(untried) > SHOWN_UNTRIED else "")
-        yield f"{len(untried)} sets were left untried, by the budget or because they cannot be simulated: {few}."
+        sets = "set was" if len(untried) == 1 else "sets were"
+        yield f"{len(untried)} {sets} not tried, because the budget ended or they cannot be simulated: {few}."
     if verdict.is_cut_short:
         yield (
             f"The budget of {diagnosis.allowed:,.0f} simulated strokes ended before the search did: repeat with a "
@@ -227,7 +228,7 @@ def meaning_entry(effect: str, meaning: Mapping[str, Any], alike: Sequence[str])
     amounts = dict(meaning["amounts"])
     worth = amounts.pop("explains", "")
     size = ", ".join(filter(None, ["; ".join(map(" ".join, amounts.items())), meaning["severity"]]))
-    much = "; ".join(filter(None, [size, worth and f"it explains {worth}"]))
+    much = "; ".join(filter(None, [size, worth and f"it accounts for {worth}"]))
     told = {
         "How much": much and f"{much}.",
         "On a real valve": meaning["on_a_real_valve"],
@@ -284,8 +285,8 @@ def _worth_words(diagnosis: Diagnosis, effect: str) -> str:
         return ""
     alone = "" if math.isnan(worth.remaining) else percent(worth.remaining)
     share = percent(worth.improvement) if worth.improvement >= LEAST_SHARE else f"less than {percent(LEAST_SHARE)}"
-    left = f"; with it alone {alone} of the error would be left" if alone else ""
-    return f"{share} of what all named effects explain{left}"
+    left = f"; by itself it would leave {alone} of the error" if alone else ""
+    return f"{share} of the improvement{left}"
 
 
 def _amount(diagnosis: Diagnosis, name: str, with_declared: bool) -> str:

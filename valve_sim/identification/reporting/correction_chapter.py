@@ -40,8 +40,9 @@ def correction_section(diagnosis: Diagnosis) -> Chapter:
     if correction is None or not correction.names or not correction.conditions:
         is_told = correction is not None and correction.is_applied and correction.names
         return Chapter(fields=fields | ({"correction": _json(diagnosis, correction)} if correction and is_told else {}))
-    way = "Each condition was left out in turn" if correction.parts and len(correction.conditions) > 1 else "Left out"
-    how = "real refits" if correction.is_refitted else "to first order"
+    is_each = correction.parts and len(correction.conditions) > 1
+    left_out = "Each condition was left out in turn" if is_each else "These strokes were left out"
+    how = "the model was refitted to the others" if correction.is_refitted else "predicted to first order"
     conditions = Table(
         ("strokes that were left out", "error before", "error after"),
         [
@@ -49,15 +50,15 @@ def correction_section(diagnosis: Diagnosis) -> Chapter:
             for condition in correction.conditions[:LISTED]
         ],
     )
-    blocks: list[Block] = [Words(f"{way} ({how}).", style="soft"), conditions]
+    blocks: list[Block] = [Words(f"{left_out}, and {how}.", style="soft"), conditions]
     if not correction.is_applied:
         names = f"a force over {curve_words(correction)}" if is_curve(correction.names) else named(correction.names)
-        why = "the error of unseen strokes does not fall by a third, or separate strokes are worse with it"
-        blocks.append(Words(f"Not applied: with {names} {why}.", style="doubt"))
+        why = "it does not reduce the error of unseen strokes by a third, or increases that of single strokes"
+        blocks.append(Words(f"Not applied: a correction by {names}, because {why}.", style="doubt"))
     else:
         fields["correction"] = _json(diagnosis, correction)
         blocks.append(Items([*map(_grade_words, diagnosis.grades), *_left_words(diagnosis, correction)]))
-    return Chapter("How well it predicts strokes that it has not seen", blocks, fields)
+    return Chapter("How well it predicts unseen strokes", blocks, fields)
 
 
 def _grade_words(grade: Grade) -> str:
@@ -67,8 +68,8 @@ def _grade_words(grade: Grade) -> str:
         grade.word
     ]
     seen = grade.factor >= SEEN
-    without = f"; without it unseen strokes err {grade.factor:.2g} times as much" if seen else ""
-    alike = f"; {named(grade.alike, 'or')} would do as well" if grade.alike else ""
+    without = f"; without it the error of unseen strokes is {grade.factor:.2g} times as large" if seen else ""
+    alike = f"; {named(grade.alike, 'or')} would predict as well" if grade.alike else ""
     return f"{words}{without}{alike}."
 
 
@@ -79,21 +80,22 @@ def _left_words(diagnosis: Diagnosis, correction: Correction) -> Iterator[str]:
         channel = f"in the {_worst_channel(correction)}" if len(correction.channels) > 1 else ""
         where = " and ".join(words for words in (channel, _place_words(diagnosis, correction)) if words)
         left = quantity(_beyond_noise(correction), unit)
-        yield f"Something else is left: {left} beyond the noise{where and f', most of it {where}'}."
+        yield f"An unmodelled effect is left: {left} rms beyond the noise{where and f', most of it {where}'}."
     names = set(correction.names)
     apart = [other for other in correction.alternatives if not is_curve(other) and not names < set(other)]
     others = [named(other) or "nothing" for other in sorted(apart, key=len)]
     if others:
-        yield f"These predict unseen strokes as well: {'; '.join(others[:3])}."
+        yield f"Other corrections predict unseen strokes as well: {'; '.join(others[:3])}."
     if correction.parts:
         beyond = "" if correction.elsewhere else " Other commands were not tried."
         ends = dict.fromkeys((correction.parts[0].words, correction.parts[-1].words))
-        yield f"Holds for strokes like those recorded ({' to '.join(ends)}).{beyond}"
+        yield f"Confirmed for strokes like those recorded: {' to '.join(ends)}.{beyond}"
     if correction.elsewhere:
         pulse = max(correction.elsewhere, key=lambda one: one.spread)
         yield (
-            f"Not recorded: {pulse.words}. There the correction moves the response by {quantity(pulse.moved, unit)}, "
-            f"and corrections that predict unseen strokes as well differ from it by {quantity(pulse.spread, unit)}."
+            f"Not confirmed for {pulse.words}, which was not recorded. There the correction changes the response by "
+            f"{quantity(pulse.moved, unit)}, and corrections that predict unseen strokes as well differ by "
+            f"{quantity(pulse.spread, unit)}."
         )
 
 

@@ -47,8 +47,8 @@ _SMALLEST_PROBABILITY: Final = 1e-6
 """Smaller p-values are shown as below this one."""
 LEGEND: Final = (("measured", "measured"), ("before", "before"), ("after", "after"))
 BAND: Final = (
-    "Below each stroke: measured − model. The band is two standard deviations of what the corrected model predicts, "
-    "noise included. Errors are over all samples; plots show the extremes of equal bins."
+    "Below each stroke: measured − model. The band is two standard deviations of that difference as the model predicts "
+    "it, noise included. Errors are computed from all samples; the plots show the extremes of equal bins."
 )
 TRIED: Final = (
     "Sets of effects that were fitted beside the declared model; click a title to sort. Probability is posterior, "
@@ -61,9 +61,10 @@ FORCES: Final = (
     "are values that the recording did not reach, or at which a stop takes up any force."
 )
 FOLLOWED: Final = (
-    "No position was measured in these strokes. The corrected model computes it, with two standard errors of the "
-    "estimated parameters as the band. It is only as correct as that model."
+    "No position was measured in these strokes. It is computed by the corrected model, and is only as correct as that. "
+    "The band is two standard errors of the estimated parameters."
 )
+LIMITS: Final = "An effect of this size would be named in half of such recordings."
 OUTDONE: Final = "No force over position, velocity or time alone explains the data nearly as well as the named effects."
 
 
@@ -131,13 +132,13 @@ def _verdict(diagnosis: Diagnosis) -> doc.Chapter:
     errors = f"Root-mean-square error{model}: {told('train_rmse')} on fitted data{held_out}. {least}"
     chosen = claims.choice_words(diagnosis), claims.holdout_words(diagnosis)
     remarks = (claims.rounding_words(diagnosis), unseen, *claims.grounds(diagnosis))
-    untried = [doc.Items(diagnosis.untried, f"{len(diagnosis.untried)} sets that were left untried", on="page")]
+    untried = [doc.Items(diagnosis.untried, f"all {len(diagnosis.untried)} sets that were not tried", on="page")]
     return doc.Chapter(
         "",
         [
             doc.Words(errors, style="soft"),
             *(doc.Words(words) for words in remarks if words and words != claims.recording_advice(diagnosis)),
-            *(untried if diagnosis.untried else []),
+            *(untried if len(diagnosis.untried) > claims.SHOWN_UNTRIED else []),
             *(doc.Words(words, on="terminal") for words in chosen if words),
         ],
         {
@@ -212,7 +213,7 @@ def _before_and_after(diagnosis: Diagnosis) -> doc.Chapter:
     lines = {
         "rms error, fitted data": [number(state.train_rmse) for state in states],
         "rms error, held-out data": [number(state.holdout_rmse) for state in states],
-        "rms error that the model predicts": [
+        "rms error expected by the model": [
             f"{number(state.train_predicted)}; held out {number(state.holdout_predicted)}" for state in states
         ],
         "residual is white": ["not known" if unseen else _whiteness(state) for state in states],
@@ -221,7 +222,7 @@ def _before_and_after(diagnosis: Diagnosis) -> doc.Chapter:
     models = ("declared model, refitted", "corrected model")[: len(states)]
     rows = [doc.TableRow((label, *cells, "")) for label, cells in lines.items()]
     table = doc.Table(("", *models, "95 % interval"), [*rows, *values.value_rows(diagnosis)], is_by_name=True)
-    doubt = "These are values of the declared model. What it lacks distorts them."
+    doubt = "These values are of the declared model, and distorted by what it lacks."
     distorted = [doc.Words(doubt, style="doubt")] if verdict.kind == "unknown" else []
     corrected = {**_state_json(after, scale, unit), "effects": _effects_json(diagnosis)}
     return doc.Chapter(
@@ -233,12 +234,12 @@ def _before_and_after(diagnosis: Diagnosis) -> doc.Chapter:
 
 def _nearest(diagnosis: Diagnosis) -> Iterator[doc.Block]:
     """What the nearest names, which are not claimed, would come to beside something unnamed."""
-    verdict, unit = diagnosis.verdict, _response(diagnosis).unit
+    verdict, number = diagnosis.verdict, _in_unit_of(diagnosis)
     nearest = next((one for one in diagnosis.candidates if set(one.effects) == set(verdict.effects)), None)
     if verdict.kind != "unknown" or not verdict.effects or nearest is None:
         return
-    held_out = "" if math.isnan(nearest.holdout_rmse) else f", {quantity(nearest.holdout_rmse, unit)} held out"
-    error = f"the rms error is {quantity(nearest.train_rmse, unit)} fitted{held_out}"
+    held_out = "" if math.isnan(nearest.holdout_rmse) else f", {number(nearest.holdout_rmse)} on held-out data"
+    error = f"the rms error would be {number(nearest.train_rmse)} on fitted data{held_out}"
     yield doc.Words(f"Nearest, but not claimed: with {named(verdict.effects)} {error}.")
     told = ((name, interval, *named_value(diagnosis.plant, name)) for name, interval in nearest.intervals.items())
     rows = [doc.TableRow((words, measured(interval, unit)), name) for name, interval, words, unit in told]
@@ -249,7 +250,7 @@ def _nearest(diagnosis: Diagnosis) -> Iterator[doc.Block]:
 
 def _whiteness(state: State) -> str:
     probability = state.adequacy.p_value
-    words = f"p = {probability:.2g}" if probability >= _SMALLEST_PROBABILITY else f"p < {_SMALLEST_PROBABILITY:g}"
+    words = f"p = {probability:.2g}" if probability >= _SMALLEST_PROBABILITY else "p < 10⁻⁶"
     return f"{'yes' if state.adequacy.is_white else 'no'} ({words})"
 
 
@@ -325,7 +326,7 @@ def _followed(diagnosis: Diagnosis) -> doc.Chapter:
 
 
 def _forces(diagnosis: Diagnosis) -> doc.Chapter:
-    """What the residual looks like as a force over each variable, and what is left without a name."""
+    """What the residual looks like as a force over each variable, and what no named effect explains."""
     motion, left = functools.cache(lambda: motion_of(diagnosis)), diagnosis.unexplained
     fields = {
         "unexplained": lambda: None if left is None else unexplained_json(left, motion()),
@@ -340,7 +341,7 @@ def _forces(diagnosis: Diagnosis) -> doc.Chapter:
     if left is not None:
         curve = force_curve(left, motion())
         told = f"a force of {quantity(curve.rms, 'N')} rms while it moves, strongest at {curve.where}."
-        blocks.append(doc.Words(told, lead="Left without a name"))
+        blocks.append(doc.Words(told, lead="Left over"))
     return doc.Chapter("What the residual looks like as a force", blocks, fields, on="page")
 
 
@@ -350,14 +351,16 @@ def _forces(diagnosis: Diagnosis) -> doc.Chapter:
 def _tried(diagnosis: Diagnosis) -> doc.Chapter:
     """The sets that were fitted, how probable each effect is, and what would have been named."""
     plant, limits = diagnosis.plant, diagnosis.detection_limits
-    head = ("what is missing", "probability", "beside something unnamed", "ln evidence", "rms, fitted", "rms, held out")
+    beside = ("probability", "with an unmodelled effect", "ln evidence", "rms, fitted", "rms, held out")
     verdict, number = diagnosis.verdict, _in_unit_of(diagnosis)
     errors = (number(diagnosis.before.train_rmse), number(diagnosis.before.holdout_rmse))
     share = percent(verdict.probability) if verdict.kind == "none" else "–"
     nothing = ("nothing: the declared model, refitted", share, "–", "0", *errors, "")
     rows = [doc.TableRow(nothing, is_marked=verdict.kind == "none")]
     rows += [_candidate_row(candidate, diagnosis) for candidate in diagnosis.candidates]
-    tried = doc.Table((*head, "values"), rows, SHOWN_CANDIDATES, is_sorted_on_click=True, on="page")
+    tried = doc.Table(
+        ("what is missing", *beside, "values"), rows, SHOWN_CANDIDATES, is_sorted_on_click=True, on="page"
+    )
     ordered = sorted(diagnosis.inclusion.items(), key=lambda entry: -entry[1])
     likely = [
         doc.TableRow((title_of(name), percent(share)))
@@ -372,7 +375,8 @@ def _tried(diagnosis: Diagnosis) -> doc.Chapter:
     if likely:
         blocks.append(doc.Table(("each effect, alone or beside others", "probability"), likely, on="page"))
     if limits:
-        table = limits_table(plant, limits, head=("an effect that acts alone", "named in half of such recordings from"))
+        blocks.append(doc.Words(LIMITS, style="soft"))
+        table = limits_table(plant, limits, head=("effect that would act alone", "smallest size that is named"))
         blocks.append(table)
     return doc.Chapter(
         "What was tried",
@@ -452,8 +456,9 @@ def _use(diagnosis: Diagnosis, folder: Path | None, options: str, *, is_sure: bo
         f"corrected.yaml, beside this page, is {kind} with {values}. Check it against a recording that was not used "
         "here, and start it, in the folder where this diagnosis was made:"
     )
-    doubt = [] if is_sure else [doc.Words("The verdict is not sure: check first, and record more.", style="doubt")]
-    return doc.Chapter("How to use the corrected model", [doc.Words(what), doc.Typed(lines), *doubt], on="page")
+    doubt = [] if is_sure else [doc.Words("The verdict is uncertain: check first, and record more.", style="doubt")]
+    model = "corrected" if diagnosis.verdict.is_corrected else "refitted"
+    return doc.Chapter(f"How to use the {model} model", [doc.Words(what), doc.Typed(lines), *doubt], on="page")
 
 
 def _made(diagnosis: Diagnosis, provenance: str) -> doc.Chapter:

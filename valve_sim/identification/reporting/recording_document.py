@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
 from valve_sim.identification.diagnosis.recording_state import RecordingState
+from valve_sim.identification.fit.intervals import Interval
 from valve_sim.identification.fit.recorded_errors import RecordedError
 from valve_sim.identification.plants.effect_titles import capitalised, title_of
 from valve_sim.identification.plants.protocol import Plant
@@ -23,26 +24,26 @@ from valve_sim.identification.reporting.document import (
     Words,
 )
 from valve_sim.identification.reporting.finding_sentences import remarks
-from valve_sim.identification.reporting.units import percent, quantity, three_digits
+from valve_sim.identification.reporting.units import measured, percent, quantity
+from valve_sim.identification.reporting.values import plain_name
 
-UNITS: Final[Mapping[str, tuple[float, str, str]]] = {
-    "m": (1e6, "µm", "um"),
-    "s": (1e6, "µs", "us"),
-    "Ω": (1.0, "Ω", "ohm"),
-    "A": (1e3, "mA", "ma"),
+UNITS: Final[Mapping[str, tuple[float, str]]] = {
+    "m": (1e6, "um"),
+    "s": (1e6, "us"),
+    "Ω": (1.0, "ohm"),
+    "A": (1e3, "ma"),
 }
-"""SI unit to factor, name for people and name in JSON of the unit in which errors are reported."""
+"""SI unit to factor and name of the unit in which JSON has errors."""
 RATES: Final = ("clock_rate",)
 """Errors without a unit that are reported in ppm; all others are in per cent."""
 SMALL_TALK: Final = ("clock_offset", "clock_rate", "scale")
 """Errors that are estimated and cost next to nothing: no advice is printed for them."""
 UNTOLD: Final = (
-    "Something without a name acts. Part of it may be counted here as errors of the recording, so these sizes cannot "
-    "be relied on."
+    "An unmodelled effect acts. Part of it may appear here as errors of the recording, so do not rely on these sizes."
 )
-"""A warning about the sizes, if something unnamed acts."""
-MAY_BE_IT: Final = "This may be what has no name: look for something that warms, settles or wears."
-"""What changes over the strokes, if something unnamed acts."""
+"""A warning about the sizes, if an unmodelled effect acts."""
+MAY_BE_IT: Final = "This may be the unmodelled effect: look for something that warms, settles or wears."
+"""What changes over the strokes, if an unmodelled effect acts."""
 LEGEND: Final = (
     "Errors of sensors, clocks and supply are no effects of the valve. They are estimated together with every "
     "hypothesis. The probability is that the error is present; the size of an improbable error is an upper limit."
@@ -84,7 +85,7 @@ def recording_sections(
 
     Args:
         errors: by source. noise: standard deviation of the sensor's noise. unit: of both, SI, of the response.
-        is_unknown: whether something unnamed acts, which errors would imitate.
+        is_unknown: whether an unmodelled effect acts, which errors would imitate.
     """
     words: list[Block] = [Words(UNTOLD, style="doubt")] if is_unknown else []
     words.append(Words(LEGEND, style="soft", on="page"))
@@ -114,23 +115,27 @@ def errors_table(
             picture = Spark(entry.at, entry.shown, entry.over)
             cells = (title, size_words(entry), share, percent(entry.probability), picture)
             rows.append(TableRow(cells, name, note=advice, is_marked=entry.is_likely))
-    return Table(("error", "size", "in noise", "probability", "picture"), rows, is_brief=is_brief, on=on)
+    return Table(("error", "size", "size / noise", "probability", "course"), rows, is_brief=is_brief, on=on)
 
 
-def _unit(entry: RecordedError) -> tuple[float, str, str]:
+def _unit(entry: RecordedError) -> tuple[float, str]:
+    """Factor and name of the unit in which JSON has an error."""
     if entry.unit == "–":
-        return (1e6, "ppm", "ppm") if entry.error in RATES else (1e2, "%", "%")
-    return UNITS.get(entry.unit, (1.0, entry.unit, entry.unit))
+        return (1e6, "ppm") if entry.error in RATES else (1e2, "%")
+    return UNITS.get(entry.unit, (1.0, entry.unit))
 
 
 def size_words(entry: RecordedError) -> str:
     """The size with its standard error and unit."""
-    factor, unit, _ = _unit(entry)
-    return f"{three_digits(factor * entry.size)} ± {factor * entry.stderr:.2g} {unit}"
+    factor, unit = _unit(entry) if entry.unit == "–" else (1.0, entry.unit)
+    if entry.size == entry.stderr == 0.0:
+        return "0"
+    size, stderr = factor * entry.size, factor * entry.stderr
+    return measured(Interval(size, stderr, size, size), unit)
 
 
 def _entry_json(entry: RecordedError) -> dict[str, Any]:
-    factor, _, unit = _unit(entry)
+    factor, unit = _unit(entry)
     detail = {"detail": entry.detail} if entry.detail else {}
     return {
         "error": entry.error,
@@ -152,12 +157,12 @@ def limits_table(plant: Plant, *columns: Mapping[str, Mapping[str, float]], head
         for switch in switches:
             sizes = [limits[name].get(switch.name, math.nan) for limits in columns]
             if any(map(math.isfinite, sizes)):
-                title = title_of(name) + (f": {switch.name.replace('_', ' ')}" if len(switches) > 1 else "")
+                title = title_of(name) + (f": {plain_name(switch.name)}" if len(switches) > 1 else "")
                 told = (quantity(size, switch.unit) if math.isfinite(size) else "–" for size in sizes)
                 rows.append(TableRow((title, *told)))
     return Table(head, rows)
 
 
 def _limits_table(state: RecordingState) -> Table:
-    head = ("would be named in half of such recordings", "from", "without these errors from")
+    head = ("named in half of such recordings", "from a size of", "without these errors from")
     return limits_table(state.identification.fit.problem.plant, state.limits, state.without_errors, head=head)

@@ -19,8 +19,10 @@ EFFECT = Effect(
     "coil_heating",
     "the coil warms up and its resistance rises",
     (
-        Parameter("temperature_rate", "K/s", "heating at u = 1", 0, 1e6, 10.0, 0.0),
-        Parameter("cooling_time_constant", "s", "of the coil's temperature", 1e-3, 1e6, 1.0, infinite_at_upper=True),
+        Parameter("temperature_rate", "K/s", "heating rate at u = 1", 0, 1e6, 10.0, 0.0),
+        Parameter(
+            "cooling_time_constant", "s", "time constant of the coil's cooling", 1e-3, 1e6, 1.0, infinite_at_upper=True
+        ),
     ),
     "IEC 60028: copper, 0.00393 1/K",
     title="Coil heating",

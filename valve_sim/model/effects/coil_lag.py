@@ -13,7 +13,7 @@ def _severity(values: Values, declared: Values) -> Severity | None:
 EFFECT = Effect(
     "coil_lag",
     "the coil current itself is later than declared",
-    (Parameter("time_constant", "s", "added to coil_time_constant", 0, 1.0, 1e-4, 0.0),),
+    (Parameter("time_constant", "s", "time constant added to coil_time_constant", 0, 1.0, 1e-4, 0.0),),
     "τ = L/R of a solenoid coil",
     title="Coil lag",
     on_a_real_valve="The current rises and falls more slowly than declared: more inductance, less resistance, or a "

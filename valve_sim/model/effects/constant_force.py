@@ -14,7 +14,7 @@ def constant_force(x: float, v: float, u: float, t: float, force: float) -> floa
 EFFECT = Effect(
     "constant_force",
     "a constant force in both phases, + opens: gravity, zero of the load cell",
-    (Parameter("force", "N", "+ opens", -1e5, 1e5, 0.05, 0.0),),
+    (Parameter("force", "N", "force, + opens", -1e5, 1e5, 0.05, 0.0),),
     "free-body diagram; the paper's load cell is ±0.25 %",
     title="Constant force",
     on_a_real_valve="Something pushes the plungers one way all the time: their weight in another mounting position, a "

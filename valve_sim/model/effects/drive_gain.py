@@ -14,7 +14,7 @@ def _severity(values: Values, declared: Values) -> Severity | None:
 EFFECT = Effect(
     "drive_gain",
     "harness or coil resistance not as declared",
-    (Parameter("gain", "–", "u over declared u", 0.05, 20, 0.01, 1.0),),
+    (Parameter("gain", "–", "current over declared current", 0.05, 20, 0.01, 1.0),),
     "Ohm's law",
     title="Drive gain",
     on_a_real_valve="The coil gets another current than its voltage and declared resistance give: a long or corroded "

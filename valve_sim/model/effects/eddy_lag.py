@@ -14,7 +14,7 @@ def _severity(values: Values, declared: Values) -> Severity | None:
 EFFECT = Effect(
     "eddy_lag",
     "eddy currents: a second pole between current and pull",
-    (Parameter("time_constant", "s", "of the second pole", 0, 1.0, 1e-4, 0.0),),
+    (Parameter("time_constant", "s", "time constant of the second pole", 0, 1.0, 1e-4, 0.0),),
     "1–10 ms are documented for solid cores; grows as the gap closes",
     title="Eddy currents",
     on_a_real_valve="The pull follows the current late, because currents in the solid iron hold the magnetic field "

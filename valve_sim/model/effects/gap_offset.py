@@ -13,7 +13,7 @@ def _severity(values: Values, declared: Values) -> Severity | None:
 EFFECT = Effect(
     "gap_offset",
     "the main plunger is picked up elsewhere than declared",
-    (Parameter("offset", "m", "added to pilot_gap", -0.1, 0.1, 5e-6, 0.0),),
+    (Parameter("offset", "m", "length added to pilot_gap", -0.1, 0.1, 5e-6, 0.0),),
     "manufacturing tolerance",
     title="Pilot gap not as declared",
     on_a_real_valve="The pilot plunger travels farther or less far than declared until the pin takes the main plunger "

@@ -25,7 +25,7 @@ def saturated_square(s: Node, own: Own) -> Node:
 EFFECT = Effect(
     "magnetic_saturation",
     "the pull grows more slowly than u² at high current",
-    (Parameter("current", "–", "u_s, the knee, in units of u", 0.05, 1e3, 5.0, math.inf),),
+    (Parameter("current", "–", "u_s, knee of the saturation, in units of u", 0.05, 1e3, 5.0, math.inf),),
     "B 1.32 T closed, 0.50 T open in the paper's finite-element figure",
     title="Magnetic saturation",
     on_a_real_valve="The iron carries no more flux at high current, so that more voltage brings less extra pull than "

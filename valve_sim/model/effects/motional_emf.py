@@ -12,7 +12,14 @@ def _severity(values: Values, declared: Values) -> Severity | None:
 
 
 _SHARE = Parameter(
-    "share", "–", "of what energy conservation demands with the declared resistance", 0, 10, 1.0, 0.0, not_declared=-1.0
+    "share",
+    "–",
+    "share of what energy conservation demands with the declared resistance",
+    0,
+    10,
+    1.0,
+    0.0,
+    not_declared=-1.0,
 )
 
 EFFECT = Effect(

@@ -14,7 +14,7 @@ def _severity(values: Values, declared: Values) -> Severity | None:
 EFFECT = Effect(
     "pickup_impact",
     "velocity lost when the main plunger is picked up",
-    (Parameter("velocity_ratio", "–", "in place of pickup_velocity_ratio", 0, 1, 0.1, 1.0),),
+    (Parameter("velocity_ratio", "–", "velocity ratio in place of pickup_velocity_ratio", 0, 1, 0.1, 1.0),),
     "momentum: pilot_mass / moving_mass = 0.813 for a plastic impact",
     title="Impact at pick-up",
     on_a_real_valve="The pilot plunger hits the resting main plunger through the pin and loses speed.",

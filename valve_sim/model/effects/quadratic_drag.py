@@ -14,7 +14,7 @@ def _severity(values: Values, declared: Values) -> Severity | None:
 EFFECT = Effect(
     "quadratic_drag",
     "drag that grows with the square of the speed",
-    (Parameter("coefficient", "N·s²/m²", "C in −C v |v|", 0, 1e6, 2.0, 0.0),),
+    (Parameter("coefficient", "N·s²/m²", "coefficient C in −C v |v|", 0, 1e6, 2.0, 0.0),),
     "fluid displaced through a clearance at high Reynolds number",
     title="Quadratic drag",
     on_a_real_valve="The plungers push gas or liquid through a narrow clearance, and are held back the more the "

@@ -14,7 +14,7 @@ def _severity(values: Values, declared: Values) -> Severity | None:
 EFFECT = Effect(
     "residual_magnetism",
     "iron that stays magnetised keeps pulling after switch-off",
-    (Parameter("current", "–", "the u that stays", 0, 1, 0.05, 0.0),),
+    (Parameter("current", "–", "remaining current, in units of u", 0, 1, 0.05, 0.0),),
     "0.1–1 N after switch-off are documented for such valves",
     title="Residual magnetism",
     on_a_real_valve="The iron stays magnetised after switch-off, goes on pulling, and makes the valve close late or "

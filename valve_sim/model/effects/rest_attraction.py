@@ -8,7 +8,7 @@ from valve_sim.model.parameters import Parameter
 EFFECT = Effect(
     "rest_attraction",
     "attraction at the largest gap that the polynomial lacks",
-    (Parameter("force", "N", "added to a0", -1e5, 1e5, 0.1, 0.0),),
+    (Parameter("force", "N", "force added to a0", -1e5, 1e5, 0.1, 0.0),),
     "Appl. Sci. 2021, 11, 2329 and Appl. Sci. 2016, 6, 288 (same group's valves)",
     title="Attraction at the largest gap",
     on_a_real_valve="The coil already pulls when the plunger is farthest away, by another force than the declared "

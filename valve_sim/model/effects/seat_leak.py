@@ -9,7 +9,7 @@ from valve_sim.model.parameters import Parameter
 EFFECT = Effect(
     "seat_leak",
     "gas passes the closed valve",
-    (Parameter("area", "m²", "of the leak, open at every lift", 0, 1e-4, 1e-9, 0.0),),
+    (Parameter("area", "m²", "area of the leak, open at every lift", 0, 1e-4, 1e-9, 0.0),),
     "scratched or dirty seats; EN 12266-1 grades the leakage of closed valves",
     title="Leaking seat",
     on_a_real_valve="Gas passes the closed valve: the seat is scratched, dirty or worn, or a seal is damaged.",

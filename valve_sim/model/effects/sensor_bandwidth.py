@@ -10,7 +10,7 @@ from valve_sim.model.parameters import Parameter
 EFFECT = Effect(
     "sensor_bandwidth",
     "the measured positions pass a first-order low-pass",
-    (Parameter("cutoff_frequency", "Hz", "of both joints", 1.0, 1e9, 2000.0, math.inf),),
+    (Parameter("cutoff_frequency", "Hz", "cut-off frequency of both joints", 1.0, 1e9, 2000.0, math.inf),),
     "laser displacement sensors average",
     title="Slow position sensor",
     on_a_real_valve="The position sensor smooths what it shows: its averaging or filter is too slow for the motion; "

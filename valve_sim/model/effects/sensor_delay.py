@@ -9,7 +9,7 @@ from valve_sim.model.parameters import Parameter
 EFFECT = Effect(
     "sensor_delay",
     "the measured positions are late",
-    (Parameter("delay", "s", "of both joints, not of the current", 0, 1.0, 1e-4, 0.0),),
+    (Parameter("delay", "s", "delay of both joints, not of the current", 0, 1.0, 1e-4, 0.0),),
     "acquisition chains",
     title="Late position sensor",
     on_a_real_valve="The positions are stamped later than they were measured: filters, buffers or the bus; the valve "

@@ -14,7 +14,7 @@ def _severity(values: Values, declared: Values) -> Severity | None:
 EFFECT = Effect(
     "sensor_gain",
     "the position sensors' scale is off",
-    (Parameter("gain", "–", "shown over true, both joints", 0.01, 100, 1e-3, 1.0),),
+    (Parameter("gain", "–", "shown over true position, of both joints", 0.01, 100, 1e-3, 1.0),),
     "calibration",
     title="Position sensor's scale",
     on_a_real_valve="The position sensors show all distances too large or too small by the same share; the valve "

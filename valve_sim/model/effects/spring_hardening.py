@@ -20,7 +20,7 @@ def _severity(values: Values, declared: Values) -> Severity | None:
 EFFECT = Effect(
     "spring_hardening",
     "the spring stiffens as it is compressed",
-    (Parameter("coefficient", "N/m³", "K in −K x³", -1e13, 1e13, 1e8, 0.0),),
+    (Parameter("coefficient", "N/m³", "coefficient K in −K x³", -1e13, 1e13, 1e8, 0.0),),
     "conical and closely wound springs",
     title="Spring hardening",
     on_a_real_valve="The spring does not follow a straight line: coils touch each other, or the spring is conical or "

@@ -16,8 +16,8 @@ EFFECT = Effect(
     "stop_bounce",
     "rebound at the core and at the seat",
     (
-        Parameter("restitution_stop", "–", "speed after over speed before, at x = stroke", 0, 0.95, 0.2, 0.0),
-        Parameter("restitution_seat", "–", "likewise at x = 0", 0, 0.95, 0.2, 0.0),
+        Parameter("restitution_stop", "–", "coefficient of restitution at the stop", 0, 0.95, 0.2, 0.0),
+        Parameter("restitution_seat", "–", "coefficient of restitution at the seat", 0, 0.95, 0.2, 0.0),
     ),
     "restitution 0.1–0.6 of steel on steel",
     title="Bounce",

@@ -19,8 +19,10 @@ EFFECT = Effect(
     "stop_compliance",
     "the core gives way to the plungers like a spring",
     (
-        Parameter("compliance", "m/N", "of the contact at x = stroke; below 1e-11: rigid", 0, 1e-6, 1e-8, 0.0),
-        Parameter("damping_ratio", "–", "of the moving mass on that spring", 0, 10.0, 0.3),
+        Parameter(
+            "compliance", "m/N", "compliance of the contact at x = stroke; below 1e-11: rigid", 0, 1e-6, 1e-8, 0.0
+        ),
+        Parameter("damping_ratio", "–", "damping ratio of the moving mass on that spring", 0, 10.0, 0.3),
     ),
     "K. H. Hunt, F. R. E. Crossley, J. Appl. Mech. 42 (1975) 440: contact as a spring with damping",
     title="Compliant stop",

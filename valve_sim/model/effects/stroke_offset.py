@@ -13,7 +13,7 @@ def _severity(values: Values, declared: Values) -> Severity | None:
 EFFECT = Effect(
     "stroke_offset",
     "the core stops the plungers elsewhere than declared",
-    (Parameter("offset", "m", "added to stroke", -0.1, 0.1, 5e-6, 0.0),),
+    (Parameter("offset", "m", "length added to stroke", -0.1, 0.1, 5e-6, 0.0),),
     "manufacturing tolerance",
     title="Stroke not as declared",
     on_a_real_valve="The plungers travel farther or less far than declared: tolerance, wear of the stop, a deposit on "
