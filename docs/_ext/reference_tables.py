@@ -227,20 +227,24 @@ def _effects() -> Iterator[str]:
         yield words
         for formula in formulas_of(effect):
             yield f"$$\n{formula}\n$$"
-        rows = [
-            (f"`{p.name}`", p.unit, p.description, f"{p.lower:g} … {p.upper:g}", _off(p), f"{p.prior_scale:g}")
+        entries = [
+            (p.name, p.unit, p.description, f"{p.lower:g} … {p.upper:g}; {_off(p)}; prior scale {p.prior_scale:g}")
             for p in effect.parameters
             if p.name in effect.given_names
         ]
         if (whole := effect.given_as_list) is not None:
-            rows.append((f"`{whole.name}`", whole.unit, whole.description, whole.range_words, "all 0", "–"))
-        yield _table(("parameter", "unit", "meaning", "range", "off", "prior scale"), rows)
+            entries.append((whole.name, whole.unit, whole.description, f"{whole.range_words}; off where all are 0"))
+        yield "\n".join(
+            f"- `{name}`{'' if unit == '–' else f' ({unit})'}: {meaning}; {rest}"
+            for name, unit, meaning, rest in entries
+        )
 
 
 def _off(parameter: Parameter) -> str:
+    """The value at which a parameter does nothing, in words."""
     if parameter.not_declared is not None:
-        return f"{parameter.not_declared:g}: not declared"
-    return "–" if parameter.off is None else f"{parameter.off:g}"
+        return f"not declared at {parameter.not_declared:g}"
+    return "a shape, never off" if parameter.off is None else f"off at {parameter.off:g}"
 
 
 def _range(entry: NodeParameter) -> str:
