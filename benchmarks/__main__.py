@@ -13,7 +13,6 @@ HERE: Final = Path(__file__).parent
 COMMANDS: Final[dict[str, dict[str, str]]] = {
     "Model": {
         "speed": "ten minutes",
-        "speed long --strokes 100 1000 10000": "minutes, 4 GB of temporary files",
         "accuracy --sets 100": "minutes",
     },
     "Fit and diagnosis, by independent plants": {

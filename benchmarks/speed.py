@@ -7,9 +7,7 @@ events, in turns; a ratio is the median of those of each turn.
 live: steps of 1 ms of the live valve.
 whole: `identify` and `diagnose` on shipped recordings as new processes, CPU time.
 
-`long`, which is run only where it is named: `info`, `identify` and `validate` on recordings of --strokes strokes of
-80 ms at 20 kHz, as new processes: CPU time beyond starting, and the most memory. 10,000 strokes take 4 GB among the
-temporary files. Exits 1 where a figure falls short.
+Exits 1 where a figure falls short.
 """
 
 from __future__ import annotations
@@ -30,7 +28,6 @@ import numpy as np
 
 from benchmarks.common import parser, show
 from benchmarks.other_solvers import TIMES, TOLERANCE, scipy_opening
-from valve_sim.files.resources import config_path
 from valve_sim.model import Drive, EventKind, Valve, simulate
 from valve_sim.model.live import Live
 from valve_sim.model.runs import Directions, run_sloped
@@ -64,7 +61,6 @@ SIXTEEN: Final = (
     "moving_mass", "pilot_gap", "stroke", "coil_time_constant", "reference_voltage", "pickup_velocity_ratio",
     "seat_load",
 )  # fmt: skip
-SEED: Final = 3
 
 
 class Row(NamedTuple):
@@ -196,30 +192,13 @@ def whole(options: argparse.Namespace) -> list[Row]:
             command, bag = name.split()
             words = [command, str(SHIPPED / bag), "--output", f"{place}/results"]
             with patch.dict(os.environ, {"VALVE_SIM_CACHE": f"{place}/cache"}):
-                empty, full = (run(words, Path(place) / "log").seconds for _ in range(2))
+                empty, full = (run(words, Path(place) / "log") for _ in range(2))
         rows.append(Row((name, f"{empty:.1f}", f"{full:.1f}"), None))
     return rows
 
 
-# --- long recordings --------------------------------------------------------------------------------------------------
-
-PERIOD, POWERED, RATE = 0.08, 0.04, 20_000
-"""s of a stroke, and of it under voltage; samples a second."""
-FLAT: Final = 1.2
-"""The time of one stroke in a longer recording, over that in the shortest, at most."""
-START_BYTES, BYTES_PER_SAMPLE = 250e6, 40.0
-"""Memory that a process may hold whatever the recording, and besides for each sample."""
-
-
-class Cost(NamedTuple):
-    """Of a process: CPU time, s, user and system, and the most memory it held, bytes."""
-
-    seconds: float
-    memory: float
-
-
-def run(command: Sequence[str], log: Path) -> Cost:
-    """Run `valve-sim` in a new process; SystemExit with its words where it fails."""
+def run(command: Sequence[str], log: Path) -> float:
+    """CPU time, s, of `valve-sim` in a new process; SystemExit with its words where it fails."""
     with log.open("w") as words:
         process = os.posix_spawn(
             sys.executable,
@@ -230,44 +209,7 @@ def run(command: Sequence[str], log: Path) -> Cost:
     _, status, usage = os.wait4(process, 0)
     if status != 0:
         raise SystemExit(f"valve-sim {' '.join(command)} failed:\n{log.read_text()[-2000:]}")
-    return Cost(usage.ru_utime + usage.ru_stime, usage.ru_maxrss * 1024)
-
-
-def costs_of(folder: Path, count: int) -> dict[str, Cost]:
-    """What each command costs on a recording of so many strokes that `simulate` wrote."""
-    profile, bag = folder / "profile.csv", folder / f"{count}.mcap"
-    on = 0.01 + PERIOD * np.arange(count)
-    rows = [f"{at:.3f},9.0\n{at + POWERED:.3f},0.0\n" for at in on.tolist()]
-    profile.write_text("time,volts\n" + "".join(rows))
-    errors = ["--noise-um", "1", "--quantisation-um", "0.1", "--rate", str(RATE)]
-    duration = ["--duration", f"{PERIOD * count:.3f}", "--output", str(bag)]
-    run(["simulate", "--profile", str(profile), *duration, *errors], folder / "log")
-    arguments = {
-        "info": ["info", str(bag)],
-        "identify": ["identify", str(bag), "--output", str(folder / "fit")],
-        "validate": ["validate", str(bag), "--params", str(config_path("valve.yaml")), "--tolerance-um", "17"],
-    }
-    found = {name: run(words, folder / "log") for name, words in arguments.items()}
-    bag.unlink()
-    return found
-
-
-def long(options: argparse.Namespace) -> list[Row]:
-    """What a stroke takes beyond starting, over one of the shortest recording; and bytes of memory a sample."""
-    rows, shortest = [], dict[str, float]()
-    with tempfile.TemporaryDirectory() as place:
-        folder = Path(place)
-        costs_of(folder, 2)  # may compile
-        begins = costs_of(folder, 2)
-        for count in sorted(options.strokes):
-            for name, cost in costs_of(folder, count).items():
-                each = (cost.seconds - begins[name].seconds) / count
-                growth = each / shortest.setdefault(name, each)
-                memory = max((cost.memory - START_BYTES) / (count * PERIOD * RATE), 0.0)
-                cells = (f"{name}, {count}", f"{cost.seconds:.2f} s", f"{1e3 * each:.2f} ms", f"{growth:.2f}")
-                is_met = growth <= FLAT and memory <= BYTES_PER_SAMPLE
-                rows.append(Row((*cells, f"{cost.memory / 1e6:.0f} MB", f"{memory:.0f} B"), is_met))
-    return rows
+    return float(usage.ru_utime + usage.ru_stime)
 
 
 PARTS: Final[Mapping[str, Part]] = {
@@ -275,25 +217,19 @@ PARTS: Final[Mapping[str, Part]] = {
     "solvers": Part("15 ms opening, 150 outputs, 1e-8", ("what", "µs", "ratio", "event error, s", "wanted"), solvers),
     "live": Part("live steps of 1 ms", ("what", "each", "wanted"), live),
     "whole": Part("whole commands, CPU s", ("command", "nothing compiled", "compiled"), whole),
-    "long": Part(
-        f"long recordings: at most {FLAT:g} a stroke, {BYTES_PER_SAMPLE:g} B a sample beyond 250 MB",
-        ("command, strokes", "CPU", "a stroke", "over the shortest", "memory", "a sample"), long,
-    ),
 }  # fmt: skip
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the tables; 1 if a figure falls short."""
     known = parser("speed", __doc__)
-    usual = [name for name in PARTS if name != "long"]
-    known.add_argument("parts", nargs="*", metavar="PART", help=f"{', '.join(PARTS)} (default: all but long)")
+    known.add_argument("parts", nargs="*", metavar="PART", help=f"{', '.join(PARTS)} (default: all)")
     known.add_argument("--turns", type=int, default=30, help="of what is timed in turns (default: 30)")
-    known.add_argument("--strokes", type=int, nargs="+", default=[100, 300, 1000], help="of long recordings")
     options = known.parse_args(arguments)
     if unknown := [name for name in options.parts if name not in PARTS]:
         known.error(f"{unknown[0]}: expected some of {', '.join(PARTS)}")
     is_good = True
-    for name in options.parts or usual:
+    for name in options.parts or PARTS:
         part = PARTS[name]
         rows = part.measure(options)
         verdicts = {None: "", True: "good", False: "SHORT"}

@@ -5,8 +5,8 @@ import json
 
 import numpy as np
 import pytest
+from plants.actuators import KINDS, SUBSTEPS, march
 
-from benchmarks.campaign.actuators import KINDS, SUBSTEPS, march
 from benchmarks.campaign.cases import Case, draw_case
 from benchmarks.campaign.running import Answer, Outcome
 from benchmarks.campaign.tables import DEMANDS, family_table, standing, upper_limit

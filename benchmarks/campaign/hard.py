@@ -17,7 +17,7 @@ from typing import Final
 
 import numpy as np
 from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
-from plants.recording import Profile, Recorder, single_opening, train_profile
+from plants.recording import LEVELS, Profile, Recorder, single_opening, train_profile
 from plants.recording import record as measured
 
 from benchmarks.campaign.bench import Bench, Measured
@@ -29,8 +29,6 @@ from valve_sim.model import Drive, Valve
 from valve_sim.recordings import Trace, read_trace, write_bag
 from valve_sim.recordings.synthetic import Sensor, record
 
-LEVELS: Final = (9.0, 12.0, 7.5, 14.0, 10.3, 8.4, 13.0, 11.2)
-"""V, of successive strokes."""
 CAMPAIGN: Final = declared_valve(CAMPAIGN_VALVE)
 
 FAULTS: Final = ("larger error, fitted", "larger error, held-out", "beyond its budget", "wrong kind of verdict")

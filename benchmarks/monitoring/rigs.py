@@ -13,6 +13,7 @@ from identification.one_thread import Monitor
 from identification.test_current_alone import declared as declared_coil
 from model.gas.cases import gas_valve, independent
 from plants.coil_alone import Build
+from plants.recording import LEVELS
 
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.monitoring.fault_isolation import FaultFinding, isolate_fault
@@ -138,8 +139,6 @@ def drawn_rig(seed: int, jitter: float, *, colours: bool = False, **errors: floa
 
 # --- by the coil's current --------------------------------------------------------------------------------------------
 
-LEVELS: Final = (9.0, 12.0, 7.5, 14.0, 10.3, 8.4, 13.0, 11.2)
-"""V, one stroke each, over and over."""
 PERIOD: Final = 0.100
 """s. At the end of a period no valve here has any current left: each stroke begins at rest."""
 DETECTABLE: Final = 3.3

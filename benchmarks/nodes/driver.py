@@ -8,7 +8,6 @@ import subprocess
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
-from pathlib import Path
 from typing import Any
 
 import rclpy
@@ -17,14 +16,11 @@ from nodes.ros_process import end
 Processes = dict[str, subprocess.Popen[bytes]]
 
 
-def program(
-    name: str, *parameters: str, namespace: str = "", package: str = "nodes", file: Path | None = None
-) -> list[str]:
+def program(name: str, *parameters: str, namespace: str = "") -> list[str]:
     """The command that runs a node with these parameters, name:=value."""
     words = [word for parameter in parameters for word in ("-p", parameter)]
     words += ["-r", f"__ns:=/{namespace}"] if namespace else []
-    words += ["--params-file", str(file)] if file is not None else []
-    return [sys.executable, "-m", f"valve_sim.{package}", name, "--ros-args", *words]
+    return [sys.executable, "-m", "valve_sim.nodes", name, "--ros-args", *words]
 
 
 @contextlib.contextmanager

@@ -5,10 +5,6 @@ commands one stroke a second to each valve in turn, and prints by node what it t
 commissioned, by valve the steps that it lost, by monitor the strokes that it reported. Wanted: no step lost, at most
 120 % of a core in all. Wants a quiet machine with two cores.
 
-`--gas` takes the tanks of hydrogen and docs/examples/dispenser.py, as dispenser.launch.py does. It commands the valves:
-each makes one stroke for each vehicle, every fifteen seconds. In the middle a leak is put into one of them by
-parameter. Wanted besides: vehicles are filled, and its monitor, and no other, names the leak within 10 strokes.
-
 `--busy STROKES`: does a busy machine make the monitors cry wolf? Once commissioned, they get short healthy strokes
 beside busy processes, whose number changes from none to `--neighbours` and back (wanted: no WARN, no ERROR). Then the
 second tank's valve gets 0.3 N of friction at `--faults` moments, each after a new commissioning (wanted: its monitor
@@ -21,24 +17,18 @@ Exit code 1 where a figure falls short; needs ROS 2.
 from __future__ import annotations
 
 import contextlib
-import itertools
-import math
-import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray
 from nodes.ros_process import Probe, cpu_seconds, report_of
-from sensor_msgs.msg import FluidPressure
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
 from benchmarks.common import parser, say
 from benchmarks.nodes.driver import busy, program, ros, running, values_of
-from valve_sim.files.resources import config_path
 
 TANKS: Final = ("tank_1", "tank_2", "tank_3")
 COMMISSIONING: Final = 8
@@ -47,11 +37,8 @@ PARAMETERS: Final = {
     "monitor": ("measured:=joint_states", "noise_um:=1.0", f"commissioning_strokes:={COMMISSIONING}"),
 }
 FAULTY: Final = "tank_2"
-LEAK: Final = 2e-9
-"""m², 6 % of the pilot's orifice."""
-LEAK_NAMED_WITHIN, ALARM_WITHIN = 10, 40
+ALARM_WITHIN: Final = 40
 """Strokes of the faulty valve."""
-DISPENSER: Final = Path(__file__).parents[2] / "docs" / "examples" / "dispenser.py"
 FRICTION: Final = 0.3
 """N."""
 ITS_NAMES: Final = frozenset({"coulomb_friction", "stiction", "asymmetric_friction"})
@@ -73,59 +60,44 @@ class Rhythm(NamedTuple):
     is_open: float = 0.1
 
 
-WITH_GAS: Final = Rhythm(15.0)
 HURRIED: Final = Rhythm(0.2)
 
 
 class Finding(NamedTuple):
-    """What a monitor named, after how many strokes of its valve, and in which words."""
+    """What a monitor named, and in which words."""
 
-    strokes: int
     names: str
     words: str
 
 
 class Hand:
-    """Commands the valves, unless a dispenser does, and hears what the nodes say of themselves.
+    """Commands the valves, and hears what the nodes say of themselves.
 
     Attributes:
         probe: hears; its parameters are those of the faulty tank's valve. reports: of each monitor, as it sent them.
         findings: of each monitor.
     """
 
-    def __init__(self, rhythm: Rhythm, *, has_dispenser: bool = False) -> None:
-        self.rhythm, self.has_dispenser = rhythm, has_dispenser
+    def __init__(self, rhythm: Rhythm) -> None:
+        self.rhythm = rhythm
         self.probe = Probe(f"/{FAULTY}/valve")
         hear = self.probe.hear
         self._diagnostics = hear("/diagnostics", DiagnosticArray)
-        self._vehicle = hear("/dispenser/vehicle_pressure", FluidPressure)
-        self._commands = {tank: hear(f"/{tank}/valve/coil_voltage", Float64) for tank in TANKS}
         self.reports = {tank: hear(f"/{tank}/monitor/stroke_report", DiagnosticArray) for tank in TANKS}
         self.findings: dict[str, list[Finding]] = {tank: [] for tank in TANKS}
         self._voltages = {}
         self._recommission = [self.probe.node.create_client(Trigger, f"/{tank}/monitor/recommission") for tank in TANKS]
         for tank in TANKS:
             self.probe.node.create_subscription(DiagnosticArray, f"/{tank}/monitor/finding", self._finder(tank), 1000)
-            if not has_dispenser:
-                self._voltages[tank] = self.probe.talker(f"/{tank}/valve/coil_voltage", Float64)
+            self._voltages[tank] = self.probe.talker(f"/{tank}/valve/coil_voltage", Float64)
 
     def _finder(self, tank: str) -> Callable[[Any], None]:
         def note(message: Any) -> None:
             (found,) = message.status
             names = values_of(found)["effects"].replace(", ", "+")
-            self.findings[tank].append(Finding(self.made(tank), names, found.message))
+            self.findings[tank].append(Finding(names, found.message))
 
         return note
-
-    def made(self, tank: str) -> int:
-        """Strokes that a valve was commanded to make so far."""
-        return _rises([message.data != 0.0 for message in self._commands[tank]])
-
-    @property
-    def filled(self) -> int:
-        """Vehicles so far: another, empty one has come when the last was full, or no tank gave any more."""
-        pressures = [message.fluid_pressure for message in self._vehicle]
-        return sum(after < 0.5 * before for before, after in itertools.pairwise(pressures))
 
     def lost(self) -> dict[str, int]:
         """Steps lost so far, by tank; of the tanks whose valve has said so."""
@@ -150,10 +122,7 @@ class Hand:
         self.probe.answers(self._recommission, Trigger.Request())
 
     def strokes(self, seconds: float) -> None:
-        """Strokes of each valve in turn for so long; with a dispenser it makes them."""
-        if self.has_dispenser:
-            self.probe.spin_for(seconds)
-            return
+        """Strokes of each valve in turn for so long."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             for voltage in self._voltages.values():
@@ -182,22 +151,14 @@ class Hand:
         return {tank: [report_of(one) for one in own[before[tank] :]] for tank, own in self.reports.items()}
 
 
-def _rises(is_on: Sequence[bool]) -> int:
-    return sum(after and not before for before, after in itertools.pairwise([False, *is_on]))
-
-
 @contextlib.contextmanager
-def station(*, gas: bool = False) -> Iterator[dict[str, int]]:
+def station() -> Iterator[dict[str, int]]:
     """Process ids by node, while inside."""
     commands = {
-        f"{tank}/{name}": program(
-            f"{name}_node", *parameters, namespace=tank, file=config_path(f"gas_{tank}.yaml") if gas else None
-        )
+        f"{tank}/{name}": program(f"{name}_node", *parameters, namespace=tank)
         for tank in TANKS
         for name, parameters in PARAMETERS.items()
     }
-    if gas:
-        commands["dispenser"] = [sys.executable, str(DISPENSER)]
     with running(commands) as processes:
         yield {name: process.pid for name, process in processes.items()}
 
@@ -205,17 +166,11 @@ def station(*, gas: bool = False) -> Iterator[dict[str, int]]:
 # --- on a quiet machine -----------------------------------------------------------------------------------------------
 
 
-def fits(hand: Hand, pids: Mapping[str, int], seconds: float, leak: float) -> bool:
-    """Commission, let the station work for so long, after half of it with a leak, m²; whether all is as wanted."""
+def fits(hand: Hand, pids: Mapping[str, int], seconds: float) -> bool:
+    """Commission, and let the station work for so long; whether all is as wanted."""
     hand.strokes((COMMISSIONING + 4) * hand.rhythm.period)
     lost, reported = hand.lost(), hand.reported()
     used, start = {name: cpu_seconds(pid) for name, pid in pids.items()}, time.monotonic()
-    if leak:
-        hand.strokes(0.5 * seconds)
-    since = hand.made(FAULTY)
-    if leak:
-        hand.set("effects.seat_leak.area", leak)
-        seconds *= 0.5
     hand.strokes(seconds)
     elapsed = time.monotonic() - start
     shares = {name: 100.0 * (cpu_seconds(pid) - used[name]) / elapsed for name, pid in pids.items()}
@@ -230,23 +185,7 @@ def fits(hand: Hand, pids: Mapping[str, int], seconds: float, leak: float) -> bo
         say(total <= MOST_SHARE, f"{total:.0f} % of a core in all (at most {MOST_SHARE:g} %)"),
         say(all(counts.values()), f"every monitor reported strokes: {counts}"),
     ]
-    if leak:
-        good += [say(hand.filled > 0, f"{hand.filled} vehicles filled"), *_leak_is_named(hand, since)]
     return all(good)
-
-
-def _leak_is_named(hand: Hand, since: int) -> list[bool]:
-    """Whether the leak was named in time, and by its own monitor alone."""
-    for tank, found in hand.findings.items():
-        for one in found:
-            print(f"      {tank}, at {one.strokes} strokes, leak at {since}: {one.names or 'none'}: {one.words}")
-    named = [one.strokes - since for one in hand.findings[FAULTY] if one.names == "seat_leak"]
-    others = [tank for tank, found in hand.findings.items() if found and tank != FAULTY]
-    after = named[0] if named else math.inf
-    return [
-        say(after <= LEAK_NAMED_WITHIN, f"the leak is named after {after} strokes (at most {LEAK_NAMED_WITHIN})"),
-        say(not others, f"other monitors that found something (none): {others}"),
-    ]
 
 
 # --- on a busy machine ------------------------------------------------------------------------------------------------
@@ -345,20 +284,17 @@ def main() -> int:
     """Run and print; 1 if anything falls short."""
     known = parser("nodes.station", __doc__)
     known.add_argument("--seconds", type=float, default=60.0, help="how long to command strokes (default: 60)")
-    known.add_argument("--gas", action="store_true", help="with tanks of hydrogen, and a leak in the middle")
-    known.add_argument("--leak", type=float, default=LEAK, help=f"its area, m² (default: {LEAK:g})")
     known.add_argument("--busy", type=int, metavar="STROKES", help="healthy strokes, of all tanks, on a busy machine")
     known.add_argument("--neighbours", type=int, default=10, help="busy processes (default: 10)")
     known.add_argument("--faults", type=int, default=10, help="moments at which friction comes (default: 10)")
     options = known.parse_args()
-    rhythm = HURRIED if options.busy else WITH_GAS if options.gas else Rhythm()
-    with ros(), station(gas=options.gas) as pids:
-        hand = Hand(rhythm, has_dispenser=options.gas)
+    with ros(), station() as pids:
+        hand = Hand(HURRIED if options.busy else Rhythm())
         if not hand.probe.until(hand.is_there, PATIENCE):
             return int(not say(False, f"not every node came to run within {PATIENCE:g} s"))
         if options.busy:
             return int(not stands(hand, options.busy, options.neighbours, options.faults))
-        return int(not fits(hand, pids, options.seconds, options.leak if options.gas else 0.0))
+        return int(not fits(hand, pids, options.seconds))
 
 
 if __name__ == "__main__":

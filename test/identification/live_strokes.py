@@ -10,9 +10,8 @@ import numpy as np
 from plants.common import FloatArray
 from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
 from plants.laboratory import REPEATABLE, SHARE_OF_LOADS
+from plants.recording import LEVELS
 
-LEVELS = (9.0, 12.0, 7.5, 14.0, 10.3, 8.4, 13.0, 11.2)
-"""V, one stroke each, over and over."""
 LEAD, OPEN_SECONDS, CLOSED_SECONDS = 0.02, 0.03, 0.03
 """s: of rest before a stroke, with voltage, and after it."""
 STROKE_SECONDS = LEAD + OPEN_SECONDS + CLOSED_SECONDS

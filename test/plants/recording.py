@@ -14,6 +14,8 @@ from .common import FloatArray, Plant, PlantRun
 
 SAMPLE_RATE = 20e3  # Hz
 NANOSECONDS = 1e9
+LEVELS = (9.0, 12.0, 7.5, 14.0, 10.3, 8.4, 13.0, 11.2)
+"""V, of eight strokes in the order in which they are made."""
 BAG_START_NS = 1_700_000_000_000_000_000
 
 
@@ -32,12 +34,11 @@ def _profile(commands: list[tuple[float, float]], duration: float) -> Profile:
 
 def train_profile() -> Profile:
     """Eight full strokes at 7.5 to 14 V with their releases, in 0.5 s."""
-    levels = (9.0, 12.0, 7.5, 14.0, 10.3, 8.4, 13.0, 11.2)
     held = (0.030, 0.026, 0.033, 0.024, 0.031, 0.028, 0.025, 0.029)
-    starts = [0.010 + 0.060 * stroke for stroke in range(len(levels))]
+    starts = [0.010 + 0.060 * stroke for stroke in range(len(LEVELS))]
     commands = [
         command
-        for start, volts, length in zip(starts, levels, held, strict=True)
+        for start, volts, length in zip(starts, LEVELS, held, strict=True)
         for command in ((start, volts), (start + length, 0.0))
     ]
     return _profile(commands, 0.5)

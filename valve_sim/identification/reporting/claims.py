@@ -129,8 +129,8 @@ def grounds(diagnosis: Diagnosis) -> Iterator[str]:
         yield recording_advice(diagnosis)
     if untried:
         few = ", ".join(untried[:SHOWN_UNTRIED]) + (", ..." if len(untried) > SHOWN_UNTRIED else "")
-        sets = "set was" if len(untried) == 1 else "sets were"
-        yield f"{len(untried)} {sets} not tried, because the budget ended or they cannot be simulated: {few}."
+        sets, they = ("set was", "it") if len(untried) == 1 else ("sets were", "they")
+        yield f"{len(untried)} {sets} not tried, because the budget ended or {they} cannot be simulated: {few}."
     if verdict.is_cut_short:
         yield (
             f"The budget of {diagnosis.allowed:,.0f} simulated strokes ended before the search did: repeat with a "

@@ -89,7 +89,8 @@ def _left_words(diagnosis: Diagnosis, correction: Correction) -> Iterator[str]:
     if correction.parts:
         beyond = "" if correction.elsewhere else " Other commands were not tried."
         ends = dict.fromkeys((correction.parts[0].words, correction.parts[-1].words))
-        yield f"Confirmed for strokes like those recorded: {' to '.join(ends)}.{beyond}"
+        commands = "" if any(words.startswith("stroke ") for words in ends) else f": {' to '.join(ends)}"
+        yield f"Confirmed for strokes like those recorded{commands}.{beyond}"
     if correction.elsewhere:
         pulse = max(correction.elsewhere, key=lambda one: one.spread)
         yield (

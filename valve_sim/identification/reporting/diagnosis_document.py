@@ -101,7 +101,8 @@ def diagnosis_document(
         _use(diagnosis, folder, options, is_sure=is_sure),
         _made(diagnosis, provenance),
     ]
-    chance = "" if is_bare else f"probability {percent(verdict.probability)}"
+    of_what = "likeliest set: " if verdict.kind == "insufficient" else ""
+    chance = "" if is_bare else f"{of_what}probability {percent(verdict.probability)}"
     return doc.Document("Diagnosis", sections, claims.headline(diagnosis), verdict.kind, status, chance, is_sure)
 
 
