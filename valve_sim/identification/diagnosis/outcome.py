@@ -22,7 +22,7 @@ from valve_sim.identification.fit.posterior import Grounds
 from valve_sim.identification.fit.recorded_errors import RecordedError, by_recording
 from valve_sim.identification.fit.residual_tests import Adequacy
 from valve_sim.identification.fit.result import Fit
-from valve_sim.identification.plants.protocol import Array, Plant, primary_channels
+from valve_sim.identification.plants.protocol import Array, Channel, Plant, primary_channels
 from valve_sim.identification.plants.stroke_choice import StrokeChoice
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import Valve
@@ -201,6 +201,11 @@ class Diagnosis:
         return f"Diagnosis({self.verdict.kind}{names}, probability {self.verdict.probability:.2g})"
 
     @property
+    def primary_channel(self) -> Channel:
+        """One of the channels by which the errors are meant."""
+        return self.plant.channels[primary_channels(self.plant)[0]]
+
+    @property
     def valve(self) -> Valve:
         """The corrected valve.
 
@@ -237,7 +242,7 @@ def what_is_left(diagnosis: Diagnosis) -> str:
     error, expected = _compared(diagnosis.after)
     if not error > AS_PREDICTED * expected:
         return ""
-    scale, unit = diagnosis.plant.channels[primary_channels(diagnosis.plant)[0]].readable
+    scale, unit = diagnosis.primary_channel.readable
     return f"the error is {scale * error:.3g} {unit} where {scale * expected:.3g} {unit} is predicted"
 
 

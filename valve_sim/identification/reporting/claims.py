@@ -13,7 +13,7 @@ from valve_sim.identification.fit.posterior import EVEN, SURE
 from valve_sim.identification.fit.result import effective_rmse
 from valve_sim.identification.plants.effect_titles import capitalised, named, title_of, what_is_missing
 from valve_sim.identification.plants.own import OwnPlant
-from valve_sim.identification.plants.protocol import Plant, primary_channels
+from valve_sim.identification.plants.protocol import Plant
 from valve_sim.identification.plants.tolerances import GROUP
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.document import Entry, Words
@@ -94,7 +94,7 @@ def _not_told(diagnosis: Diagnosis, nearest: str, alike: str) -> str:
 def _partly(diagnosis: Diagnosis) -> str:
     correction = diagnosis.correction
     assert correction is not None
-    unit = diagnosis.plant.channels[primary_channels(diagnosis.plant)[0]].unit
+    unit = diagnosis.primary_channel.unit
     before, after = (quantity(size, unit) for size in (correction.before, correction.after))
     error = f": the error of unseen strokes falls from {before} to {after}" if correction.conditions else ""
     if is_curve(correction.names):
@@ -168,8 +168,7 @@ def holdout_words(diagnosis: Diagnosis) -> str:
 
 def unseen_noise_words(diagnosis: Diagnosis) -> str:
     """What it means that a machine is never still; empty where the sensor's noise is known."""
-    problem, channel = diagnosis.before.fit.problem, primary_channels(diagnosis.plant)[0]
-    if problem.noise_of(channel).samples:
+    if diagnosis.before.fit.problem.noise.samples:
         return ""
     is_plant_file = isinstance(diagnosis.plant, OwnPlant)
     mend = " If a data sheet has it, declare it (noise: of an output)." if is_plant_file else ""
@@ -200,7 +199,7 @@ def rounding_words(diagnosis: Diagnosis) -> str:
     pairs = [(before.fit, after.fit, before.train_rmse, after.train_rmse)]
     if before.holdout is not None and after.holdout is not None:
         pairs.append((before.holdout, after.holdout, before.holdout_rmse, after.holdout_rmse))
-    unit = diagnosis.plant.channels[primary_channels(diagnosis.plant)[0]].unit
+    unit = diagnosis.primary_channel.unit
     falls = [
         f"{quantity(effective_rmse(first), unit)} to {quantity(effective_rmse(second), unit)}"
         for first, second, least, most in pairs

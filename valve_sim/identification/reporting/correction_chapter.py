@@ -13,11 +13,11 @@ from valve_sim.identification.fit.correction import Correction, is_curve
 from valve_sim.identification.fit.grades import Grade
 from valve_sim.identification.fit.left_out import Stroke, levels_of
 from valve_sim.identification.plants.effect_titles import inside_sentence, named, title_of
-from valve_sim.identification.plants.protocol import READABLE_UNITS, primary_channels
+from valve_sim.identification.plants.protocol import READABLE_UNITS
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.claims import curve_words
 from valve_sim.identification.reporting.document import Block, Chapter, Items, Table, TableRow, Words
-from valve_sim.identification.reporting.units import in_unit, quantity
+from valve_sim.identification.reporting.units import in_unit, in_units, quantity
 
 LISTED: Final = 12
 """Most conditions in the table."""
@@ -31,7 +31,7 @@ IN_REACH: Final = 1.2
 
 def correction_section(diagnosis: Diagnosis) -> Chapter:
     """How well the correction predicts strokes that it has not seen, what each name is worth, and what is left."""
-    correction, unit = diagnosis.correction, _unit(diagnosis)
+    correction, unit = diagnosis.correction, diagnosis.primary_channel.unit
     fields = {
         "correction": None,
         "names": [_name_json(diagnosis, grade) for grade in diagnosis.grades],
@@ -75,7 +75,7 @@ def _grade_words(grade: Grade) -> str:
 
 def _left_words(diagnosis: Diagnosis, correction: Correction) -> Iterator[str]:
     """What is left beside the correction, where it lies, what predicts as well, and how far it holds."""
-    unit = _unit(diagnosis)
+    unit = diagnosis.primary_channel.unit
     if correction.after > IN_REACH * correction.noise:
         channel = f"in the {_worst_channel(correction)}" if len(correction.channels) > 1 else ""
         where = " and ".join(words for words in (channel, _place_words(diagnosis, correction)) if words)
@@ -102,7 +102,7 @@ def _left_words(diagnosis: Diagnosis, correction: Correction) -> Iterator[str]:
 
 def _place_words(diagnosis: Diagnosis, correction: Correction) -> str:
     """Where most is left: "at 0.5 to 0.7 mm, rising"; empty where no place stands out."""
-    place, unit = correction.place, _unit(diagnosis)
+    place, unit = correction.place, diagnosis.primary_channel.unit
     if place is None:
         return ""
     ends = f"{quantity(place.low, unit, 2)} to {quantity(place.high, unit, 2)}"
@@ -121,12 +121,11 @@ def _worst_channel(correction: Correction) -> str:
 
 
 def _json(diagnosis: Diagnosis, correction: Correction) -> dict[str, Any]:
-    scale, unit = diagnosis.plant.channels[primary_channels(diagnosis.plant)[0]].readable
+    scale, unit = diagnosis.primary_channel.readable
     has_curve = is_curve(correction.names)
 
     def sizes(holder: Any, *names: str) -> dict[str, Any]:
-        told = [in_unit(name, scale * getattr(holder, name), unit) for name in names]
-        return {key: value for entry in told for key, value in entry.items()}
+        return in_units({name: scale * getattr(holder, name) for name in names}, unit)
 
     return {
         "effects": [] if has_curve else list(correction.names),
@@ -203,7 +202,3 @@ def _channels_json(diagnosis: Diagnosis, correction: Correction) -> dict[str, di
             "share_of_misfit": excess.get(kind, 0.0) / total if total > 0.0 else None,
         }
     return told
-
-
-def _unit(diagnosis: Diagnosis) -> str:
-    return diagnosis.plant.channels[primary_channels(diagnosis.plant)[0]].unit

@@ -16,7 +16,7 @@ from valve_sim.identification.diagnosis.outcome import Candidate, Diagnosis, Sta
 from valve_sim.identification.fit.intervals import Interval
 from valve_sim.identification.plants.effect_titles import named, named_value, title_of, titles_of
 from valve_sim.identification.plants.own import OwnPlant
-from valve_sim.identification.plants.protocol import Channel, Plant, primary_channels
+from valve_sim.identification.plants.protocol import Plant
 from valve_sim.identification.plants.tolerances import GROUP
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting import claims, values
@@ -28,8 +28,10 @@ from valve_sim.identification.reporting.recording_document import limits_table, 
 from valve_sim.identification.reporting.strokes import strokes_followed, worst_first
 from valve_sim.identification.reporting.units import (
     change,
+    error_words,
     gain_words,
     in_unit,
+    in_units,
     measured,
     percent,
     quantity,
@@ -84,7 +86,7 @@ def diagnosis_document(
     """
     verdict, fit = diagnosis.verdict, diagnosis.before.fit
     status, is_sure = claims.certainty(verdict)
-    noise, unit = fit.problem.noise.sigma, diagnosis.plant.channels[primary_channels(diagnosis.plant)[0]].unit
+    noise, unit = fit.problem.noise.sigma, diagnosis.primary_channel.unit
     is_bare = verdict.kind == "partly" or (verdict.kind == "insufficient" and verdict.is_cut_short)
     sections = [
         _verdict(diagnosis),
@@ -106,20 +108,15 @@ def diagnosis_document(
     return doc.Document("Diagnosis", sections, claims.headline(diagnosis), verdict.kind, status, chance, is_sure)
 
 
-def _response(diagnosis: Diagnosis) -> Channel:
-    return diagnosis.plant.channels[primary_channels(diagnosis.plant)[0]]
-
-
 def _in_unit_of(diagnosis: Diagnosis) -> Callable[[float], str]:
     """Tells an error of the response in the unit in which people read it; – where it is not known."""
-    scale, unit = _response(diagnosis).readable
-    return lambda error: f"{three_digits(scale * error)} {unit}" if math.isfinite(error) else "–"
+    return functools.partial(error_words, unit=diagnosis.primary_channel.unit)
 
 
 def _verdict(diagnosis: Diagnosis) -> doc.Chapter:
     """The verdict beside the headline, and what the errors come to."""
     verdict, before, after = diagnosis.verdict, diagnosis.before, diagnosis.after
-    scale, unit = _response(diagnosis).readable
+    scale, unit = diagnosis.primary_channel.readable
     unseen = claims.unseen_noise_words(diagnosis)
 
     def told(name: str) -> str:
@@ -128,7 +125,7 @@ def _verdict(diagnosis: Diagnosis) -> doc.Chapter:
 
     model = ", before → after" if verdict.is_corrected else " of the refitted declared model"
     held_out = f", {told('holdout_rmse')} on held-out data" if math.isfinite(before.holdout_rmse) else ""
-    sigma = three_digits(scale * before.fit.problem.noises[_response(diagnosis).kind].sigma)
+    sigma = three_digits(scale * before.fit.problem.noises[diagnosis.primary_channel.kind].sigma)
     least = f"{'The best model leaves' if unseen else 'The noise of the sensor is'} {sigma} {unit}."
     errors = f"Root-mean-square error{model}: {told('train_rmse')} on fitted data{held_out}. {least}"
     chosen = claims.choice_words(diagnosis), claims.holdout_words(diagnosis)
@@ -206,7 +203,7 @@ def _record_next(diagnosis: Diagnosis, folder: Path | None, options: str) -> doc
 def _before_and_after(diagnosis: Diagnosis) -> doc.Chapter:
     """Errors and values of the refitted declared model and of the corrected one."""
     verdict, before, after = diagnosis.verdict, diagnosis.before, diagnosis.after
-    scale, unit = _response(diagnosis).readable
+    scale, unit = diagnosis.primary_channel.readable
     unseen = claims.unseen_noise_words(diagnosis)
     states = (before, after) if verdict.is_corrected else (before,)
 
@@ -256,11 +253,13 @@ def _whiteness(state: State) -> str:
 
 
 def _state_json(state: State, scale: float, unit: str) -> dict[str, Any]:
-    predicted = {"train": scale * state.train_predicted, "holdout": scale * state.holdout_predicted}
+    errors = {
+        "rmse": {"train": scale * state.train_rmse, "holdout": scale * state.holdout_rmse},
+        "predicted": {"train": scale * state.train_predicted, "holdout": scale * state.holdout_predicted},
+    }
     return {
         "parameters": values.intervals_json({name: one for name, one in state.intervals.items() if "." not in name}),
-        **in_unit("rmse", {"train": scale * state.train_rmse, "holdout": scale * state.holdout_rmse}, unit),
-        **in_unit("predicted", predicted, unit),
+        **in_units(errors, unit),
         "white": state.adequacy.is_white,
         "chi2_per_sample": state.fit.chi2 / state.fit.problem.effective_samples,
         "test": {"p_value": state.adequacy.p_value, "worst": state.adequacy.worst},
@@ -408,7 +407,7 @@ def _candidate_row(candidate: Candidate, diagnosis: Diagnosis) -> doc.TableRow:
 
 
 def _candidate_json(candidate: Candidate, diagnosis: Diagnosis) -> dict[str, Any]:
-    scale, unit = _response(diagnosis).readable
+    scale, unit = diagnosis.primary_channel.readable
     errors = {"train": scale * candidate.train_rmse, "holdout": scale * candidate.holdout_rmse}
     return {
         "effect": " + ".join(candidate.effects),
@@ -463,7 +462,7 @@ def _use(diagnosis: Diagnosis, folder: Path | None, options: str, *, is_sure: bo
 
 
 def _made(diagnosis: Diagnosis, provenance: str) -> doc.Chapter:
-    channel = _response(diagnosis)
+    channel = diagnosis.primary_channel
     noise = diagnosis.before.fit.problem.noises[channel.kind]
     scale, unit = channel.readable
     origin = (

@@ -25,7 +25,7 @@ from valve_sim.identification.reporting.document import (
 )
 from valve_sim.identification.reporting.finding_sentences import remarks
 from valve_sim.identification.reporting.recording_document import recording_sections
-from valve_sim.identification.reporting.units import in_unit, limits, measured, quantity, three_digits
+from valve_sim.identification.reporting.units import error_words, in_unit, limits, measured, quantity
 from valve_sim.identification.reporting.values import declared_section, intervals_json, remark_on
 from valve_sim.model import DECLARED
 from valve_sim.model.tolerances import COVARIANCE_NAME
@@ -56,7 +56,7 @@ def identification_document(result: Identification) -> Document:
     )
     judged, *others = _by_kind(result)
     errors = [
-        f"{_change('residual', judged)}; sensor noise {_readable(judged.noise, judged.unit)}",
+        f"{_change('residual', judged)}; sensor noise {error_words(judged.noise, judged.unit)}",
         *(_change(f"residual of {_WORDS.get(error.kind, error.kind)}", error) for error in others),
     ]
     head = {"schema": "valve_sim/identification/1", "sources": list(result.sources), "unit": unit}
@@ -118,13 +118,8 @@ def _errors_json(errors: list[SignalError]) -> dict[str, Any]:
 
 
 def _change(name: str, error: SignalError) -> str:
-    before, after = _readable(error.before, error.unit), _readable(error.after, error.unit)
+    before, after = (error_words(own, error.unit) for own in (error.before, error.after))
     return f"{name} {before} as declared, {after} refitted"
-
-
-def _readable(value: float, si: str) -> str:
-    scale, unit = READABLE_UNITS.get(si, (1.0, si))
-    return f"{three_digits(scale * value)} {unit}"
 
 
 def static_force_document(result: StaticForce) -> Document:

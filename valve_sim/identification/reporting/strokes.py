@@ -120,7 +120,7 @@ def worst_first(diagnosis: Diagnosis, most: int) -> tuple[list[StrokeCurves], li
     Of the first, those that the declared model misses most come before the others; either in the order of recording.
     """
     strokes = strokes_of(diagnosis)
-    kind = diagnosis.plant.channels[primary_channels(diagnosis.plant)[0]].kind
+    kind = diagnosis.primary_channel.kind
     judged = [stroke for stroke in strokes if stroke.quantity == kind]
     errors = [stroke.root_mean_squares[0] for stroke in judged]
     names = [stroke.title.partition(", stroke ")[0] for stroke in judged]

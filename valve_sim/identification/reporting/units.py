@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from valve_sim.identification.fit.intervals import Interval
-from valve_sim.identification.plants.protocol import KEY_OF_UNIT
+from valve_sim.identification.plants.protocol import KEY_OF_UNIT, READABLE_UNITS
 
 _READABLE: Final[Mapping[str, tuple[tuple[float, float, str], ...]]] = {
     "m": ((1e-3, 1e6, "µm"), (1.0, 1e3, "mm")),
@@ -62,6 +62,17 @@ def three_digits(value: float) -> str:
 def change(before: float, after: float, unit: str) -> str:
     """Of an error in this unit: 1.20 → 1.00 µm."""
     return f"{three_digits(before)} → {three_digits(after)} {unit}"
+
+
+def error_words(error: float, unit: str) -> str:
+    """An error, SI, in the unit in which errors are shown, whatever its size; – where it is not known."""
+    scale, name = READABLE_UNITS.get(unit, (1.0, unit))
+    return f"{three_digits(scale * error)} {name}" if math.isfinite(error) else "–"
+
+
+def in_units(values: Mapping[str, Any], unit: str) -> dict[str, Any]:
+    """Several entries of a report, each as `in_unit` has it."""
+    return {key: own for name, value in values.items() for key, own in in_unit(name, value, unit).items()}
 
 
 def in_unit(name: str, value: Any, unit: str) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from valve_sim.identification.reporting.document import (
     TableRow,
     Words,
 )
-from valve_sim.identification.reporting.units import in_unit, signed, three_digits
+from valve_sim.identification.reporting.units import error_words, in_unit, in_units, signed
 from valve_sim.identification.validation.replay import MICRO, Arrival, Errors, Replay, Validation
 
 
@@ -39,7 +39,7 @@ def _replay(replay: Replay) -> Chapter:
     scale, unit = replay.readable
 
     def told(size: float) -> str:
-        return f"{three_digits(scale * size)} {unit}"
+        return error_words(size, replay.unit)
 
     clock = "" if math.isnan(replay.clock_offset) else f", clock offset {MICRO * replay.clock_offset:.1f} µs"
     verdict = "within" if replay.passed else "OUTSIDE"
@@ -81,8 +81,7 @@ def _replay_json(replay: Replay) -> dict[str, Any]:
 
     def errors_json(errors: Errors) -> dict[str, Any]:
         sizes = {name: scale * getattr(errors, name) for name in ("tolerance", "rmse", "moving_rmse", "maximum")}
-        told = [in_unit(name, size, unit) for name, size in sizes.items()]
-        return {"samples": errors.samples} | {key: value for entry in told for key, value in entry.items()}
+        return {"samples": errors.samples, **in_units(sizes, unit)}
 
     return {
         "source": replay.source,
