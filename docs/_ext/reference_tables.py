@@ -66,12 +66,11 @@ def _topics() -> Iterator[str]:
             yield "From when gas is declared, also:"
             yield _table(_OF_TOPICS, [_topic(entry) for entry in topics.GAS])
     yield (
-        "`<valve>` and `<measured>` are parameters of monitor_node; `<sensors>` is where `<measured>` is. Of "
-        "the station's nodes `<valve>` is each of their parameter `valves`, and `<monitor>` of `monitors`; "
-        "`<alarms>` is one of archive_node. `<end>` is inlet_pressure and demand_pressure: "
-        "beside a simulated valve (`<sensors>` is `<valve>`) those that it obeys are heard, beside another its "
-        "sensors, and where neither comes the pressures that are sent to it. What is read from a bag is on the page of "
-        "[channels](channels.md)."
+        "`<valve>` and `<measured>` are parameters of monitor_node; `<sensors>` is the parent of `<measured>`. For the "
+        "station's nodes `<valve>` is each of their parameter `valves`, and `<monitor>` of `monitors`; `<alarms>` is a "
+        "parameter of archive_node. `<end>` is inlet_pressure and demand_pressure: monitor_node takes those that a "
+        "simulated valve obeys (`<sensors>` is then `<valve>`), those of a real valve's sensors, or, without either, "
+        "those that are sent to the valve. The [channels](channels.md) list what is read from a bag."
     )
     yield "## Why a coil is a BatteryState"
     yield (
@@ -142,11 +141,11 @@ def _channels() -> Iterator[str]:
         ],
     )
     yield (
-        f"In `{COIL}` NaN says that something was not measured; it is then looked for in its next topic. A measured "
+        f"NaN in `{COIL}` means not measured; the next topic of the channel is then read. A measured "
         "voltage is the input in place of the commands: it is interpolated between them, never across one, and not "
         "used while the command is 0 V and `valve.release_voltage` is above 0. It dates commands that were recorded "
-        f"late. Where neither measured positions nor a measured current are there, what a node publishes is read in "
-        f"their place, its `{LIVE_COIL}` included."
+        f"late. If neither positions nor a current were measured, the topics that a node publishes are read instead, "
+        f"including its `{LIVE_COIL}`."
     )
 
 
@@ -160,10 +159,10 @@ def _node_parameters() -> Iterator[str]:
     yield (
         "SI units. Names under `valve.` and `gas.` are also keys of a parameter file, and so are those of "
         "[effects](effects.md), which are parameters too: `effects.<effect>.<parameter>`. All but `plant` can be set "
-        "at run time. With `plant` those of the valve give way to `parameters.<name>`, those of "
-        "[your own machine](../how_to/your_own_machine.md#live). A tolerance of 0 means exact. Where anything of a "
-        "valve is given, a tolerance that is not given is 0, but for those of the sensor. Effects and gas have "
-        "tolerances, too: `tolerances.effects.<effect>.<parameter>` and `tolerances.gas.<name>`. "
+        "at run time. With `plant`, the parameters `parameters.<name>` of "
+        "[your own machine](../how_to/your_own_machine.md#live) replace those of the valve. A tolerance of 0 means "
+        "exact. If any value of a valve is given, missing tolerances are 0, except those of the sensor. Effects and "
+        "gas have tolerances, too: `tolerances.effects.<effect>.<parameter>` and `tolerances.gas.<name>`. "
         "[How well your numbers are known](../how_to/tolerances.md)."
     )
     elsewhere = ("effects.", "tolerances.effects.", "tolerances.gas.")
@@ -206,10 +205,10 @@ def _effects() -> Iterator[str]:
     yield (
         "Formulas are printed from the expressions that the simulator itself is compiled from, with the symbols of "
         "[Model and events](../theory/model.md): $F$ is a force that is added, + opens, $F_f$ the level of a dry "
-        "friction, and an arrow shows what becomes of a declared value. Parameters of the effect go by their names. "
+        "friction, and an arrow shows how a declared value changes. Parameters of the effect have their names. "
         "An effect without a formula here acts on a sensor (11), on a contact (13), (15), on the current that pulls "
         "(8), or on the [gas](../gas.md#equations), or is a [smooth curve](../theory/selection.md#11-smooth-curves). "
-        "The prior scale is how large a parameter may well be before the data are seen: "
+        "The prior scale is the plausible size of a parameter before the data are seen: "
         "[theory](../theory/selection.md#3-hypotheses-and-the-priors-of-what-they-free)."
     )
     yield "Without effects a valve without gas moves by these equations, in Phase 1, in Phase 2, and its current $u$:"

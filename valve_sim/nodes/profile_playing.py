@@ -21,17 +21,17 @@ class ProfileSettings(NodeSettings):
 
     profile: str = option(
         "",
-        "what to command: rows of time in s and volts, as for `valve-sim simulate --profile`, the last one 0 V",
+        "profile to command: rows of time in s and volts, as for `valve-sim simulate --profile`, the last one 0 V",
     )
-    valve: str = option("valve", "what is commanded: the topic coil_voltage below this name")
+    valve: str = option("valve", "valve to command: the topic coil_voltage below this name")
     listener: str = option(
-        "", "node that must hear the commands, such as the driver of the coil; empty: the node `valve`"
+        "", "node that must subscribe to the commands, such as the driver of the coil; empty: the node `valve`"
     )
     max_voltage: float = option(
         30.0,
         "a profile with a larger voltage, of either sign, is refused before anything is commanded", "V", 0.0,
     )  # fmt: skip
-    patience: float = option(10.0, "to wait for a node that hears the commands", "s", 0.0)
+    patience: float = option(10.0, "time to wait for a node that subscribes to the commands", "s", 0.0)
     output: str = option("commanded.csv", "CSV file of what was commanded when: ROS time in ns, s since the start, V")
 
     def completed(self) -> ProfileSettings:

@@ -30,10 +30,8 @@ class IdentificationSettings(NodeSettings):
     program = "identification_node"
 
     bag: str = option("", "the recording: a rosbag2 folder, an .mcap file, or with `map` a table")
-    map: str = option("", "file that says which topic or column of the recording is what; empty: those of this package")
-    valve_name: str = option(
-        "", "which valve of the recording, such as /tank_1/valve; needed only where it holds several"
-    )
+    map: str = option("", "map of the recording's topics or columns; empty: those of this package")
+    valve_name: str = option("", "valve of the recording, such as /tank_1/valve; needed only if it contains several")
     params: str = option("", "parameter file of the declared valve; empty: the shipped one")
     free: tuple[str, ...] = option(
         DAMPINGS,
@@ -42,8 +40,8 @@ class IdentificationSettings(NodeSettings):
     )
     rate: float = option(1.0, "replay: 1 as recorded, 2 twice as fast, 0 as fast as possible", "–", 0.0)
     loop: bool = option(False, "whether the replay starts again at its end")
-    apply_to: str = option("", "running valve node that is given the result, if nothing speaks against it; empty: none")
-    apply_always: bool = option(False, "whether apply_to is given a result that something speaks against, too")
+    apply_to: str = option("", "running valve node that receives the result if all checks pass; empty: none")
+    apply_always: bool = option(False, "whether apply_to receives the result even if a check fails")
     output: str = option(
         ".",
         "folder of identified.yaml (diagnose: corrected.yaml, record_next.yaml) and before.yaml, as apply_to was",
@@ -52,9 +50,7 @@ class IdentificationSettings(NodeSettings):
     mode: str = option(
         MODES[0], "identify: refit `free`; diagnose: find the effect that the declared valve lacks", choices=MODES
     )
-    budget: float = option(
-        120.0, "work that a diagnosis may do, 4000 simulated strokes a second; it says what was left untried", "s", 1.0
-    )
+    budget: float = option(120.0, "work that a diagnosis may do: 4000 simulated strokes for each second", "s", 1.0)
 
     @classmethod
     def passes_over(cls, name: str, given: Mapping[str, object]) -> bool:
@@ -89,7 +85,7 @@ class MonitorNodeSettings(NodeSettings):
     program = "monitor_node"
     has_valve = True
 
-    valve_node: str = option("valve", "node whose topics are heard, relative to this node's namespace")
+    valve_node: str = option("valve", "node to whose topics the monitor subscribes, relative to this node's namespace")
     measured: str = option(
         "measured/joint_states",
         "topic of the measured positions below it, or of the coil (measured/coil): the current alone; joint_states and "
@@ -106,15 +102,13 @@ class MonitorNodeSettings(NodeSettings):
     strokes_between_false_alarms: float = option(
         _USUAL.strokes_between_false_alarms, "mean number of strokes of a healthy valve between alarms", "–", 10, 1e9
     )
-    stroke_timeout: float = option(_USUAL.stroke_timeout, "a stroke that has not ended by then is", "s", 0.1, 1e6)
-    settle: float = option(_USUAL.settle, "of rest, after which a stroke has ended", "s", 5e-3, 100.0)
+    stroke_timeout: float = option(_USUAL.stroke_timeout, "time after which a stroke counts as ended", "s", 0.1, 1e6)
+    settle: float = option(_USUAL.settle, "time at rest after which a stroke has ended", "s", 5e-3, 100.0)
     patience: float = option(
-        _USUAL.patience, "the monitor reports a valve as stuck if it is later than the model by more", "s", 1e-3, 1e3
+        _USUAL.patience, "delay behind the model after which the monitor reports a stuck valve", "s", 1e-3, 1e3
     )
     noise_um: float = option(0.0, "standard deviation of the position sensor; 0: estimated", "µm", 0.0, 1e4)
-    max_rate: float = option(
-        1000.0, "messages a second, at most, on predicted/joint_states and residual", "Hz", 0.1, 1e5
-    )
+    max_rate: float = option(1000.0, "largest rate of messages on predicted/joint_states and residual", "Hz", 0.1, 1e5)
 
     @classmethod
     def table(cls) -> dict[str, NodeParameter]:

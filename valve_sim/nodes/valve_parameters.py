@@ -32,7 +32,7 @@ class ValveSettings(NodeSettings):
         1.0, "model seconds a second of the clock; below 1 is slow motion", "–", 1e-6, 1e3, read_only=False
     )
     command_timeout: float = option(
-        0.0, "without a command for so long, the coil is de-energised; 0: never", "s", 0, 1e6, read_only=False
+        0.0, "time without a command after which the coil is de-energised; 0: never", "s", 0, 1e6, read_only=False
     )
     max_voltage: float = option(
         30.0, "commands beyond it, either sign, are ignored and counted", "V", 0, 1e4, read_only=False

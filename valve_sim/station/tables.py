@@ -61,7 +61,7 @@ class ArchiveSettings(NodeSettings):
         "topic on which an opcua_node publishes acknowledgements, relative to the node's namespace",
     )
     folder: str = option("~/.local/share/valve_sim/archive", "folder of the archive")
-    years: float = option(10.0, "for which rows are kept", "years", 0.01, 100.0)
+    years: float = option(10.0, "time for which rows are kept", "years", 0.01, 100.0)
     megabytes: float = option(2000.0, "size beyond which the oldest months are removed", "MB", 1.0, 1e6)
 
     def completed(self) -> ArchiveSettings:
@@ -84,7 +84,7 @@ class OpcUaSettings(NodeSettings):
     address: str = option("0.0.0.0", "address that the server listens on; 0.0.0.0: all of this machine")
     port: int = option(4840, "port that the server listens on", "", 1.0, 65535.0)
     anonymous_read: bool = option(False, "whether clients without a certificate may read, without encryption")
-    history_days: float = option(3650.0, "for which history is kept", "days", 0.01, 36500.0)
+    history_days: float = option(3650.0, "time for which history is kept", "days", 0.01, 36500.0)
 
     def completed(self) -> OpcUaSettings:
         """These settings, with a serial number for each valve, empty where none is given."""
