@@ -38,7 +38,7 @@ from valve_sim.cli.reading import (
     metavar="BAG",
     type=FILE,
     multiple=True,
-    help="Held-out recording: judges the result, takes no part in the fit. Repeatable.",
+    help="Held-out recording, which judges the result and takes no part in the fit. Repeatable.",
 )
 @click.option(
     "--budget",
@@ -68,10 +68,9 @@ def diagnose(
 ) -> None:
     r"""Find the effect that the model lacks.
 
-    The declared model is refitted, and sets of effects are fitted beside it. The report says how probable each set is,
-    and how large the errors are before and after, on the strokes that were fitted and on held-out ones. Without
-    --holdout, about a quarter of the strokes are held out. What the budget leaves untried makes the verdict less
-    certain.
+    Refits the declared model, and fits sets of effects together with it. The report gives the probability of each set,
+    and the errors before and after on the fitted strokes and on held-out ones. Without --holdout, about a quarter of
+    the strokes are held out. If the budget ends the search, the verdict is less certain.
       valve-sim diagnose bags/friction --output results
 
     Writes DIR/report.json, report.html for people, corrected.yaml, which valve_node, simulate and validate load, and,

@@ -21,7 +21,7 @@ from valve_sim.files.json_text import json_text
 @click.option(
     "--voltage", metavar="V", type=finite_number(), help="Voltage of the table. Default: valve.reference_voltage."
 )
-@click.option("--no-constant", is_flag=True, help="Leave a0 out, as the paper does; the report says what follows.")
+@click.option("--no-constant", is_flag=True, help="Leave a0 out, as the paper does; the report says what that means.")
 @folder_option
 @json_option
 def fit_force(

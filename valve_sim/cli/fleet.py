@@ -36,8 +36,8 @@ NEEDED: Final = ("dask", "distributed", "fsspec", "pyarrow")
     type=click.IntRange(min=1),
     help="Processes on this machine. Default: one per processor.",
 )
-@click.option("--full", is_flag=True, help="Search for missing effects in every bag, also where nothing is left.")
-@click.option("--no-search", is_flag=True, help="Refit and test alone: drifts are seen, effects are not named. Cheap.")
+@click.option("--full", is_flag=True, help="Search for missing effects in every bag, even if no residual is left.")
+@click.option("--no-search", is_flag=True, help="Only refit and test: finds drifts, but names no effects. Fast.")
 @click.option(
     "--budget",
     metavar="SECONDS",

@@ -50,9 +50,9 @@ def info(
     Valves, signals and their rates, strokes, gaps, clock problems, and what was dropped or repaired on reading:
       valve-sim info bags/friction
 
-    When the plungers arrived in each stroke is found from the sensors alone, without a model; of the declared
-    parameters only pilot_gap is used for it, and the others to say whether the recording can be of that valve. With
-    --state the declared valve is fitted, and the errors of the recording are listed:
+    The arrivals of the plungers are found from the sensors alone, without a model. Of the declared parameters only
+    pilot_gap is used for that; the others are used to check whether the recording can be of that valve. --state fits
+    the declared valve, and lists the errors of the recording:
       valve-sim info bags/eight_strokes.mcap --state
 
     Several recordings are shown one after the other, and drawn below each other:

@@ -58,7 +58,7 @@ if TYPE_CHECKING:
     help="Standard deviation of the noise of the outlet's pressure, kPa, of a valve with gas.",
 )
 @click.option("--with-noise", is_flag=True, help="With --plant: add the outputs' declared noise, drawn with --seed.")
-@click.option("--without-position", is_flag=True, help="Record no position, as where none can be measured.")
+@click.option("--without-position", is_flag=True, help="Record no position, as if none could be measured.")
 @click.option(
     "--seed", type=click.IntRange(min=0), default=0, help="Seed of the noise; the same seed gives the same recording."
 )
