@@ -400,7 +400,9 @@ def _candidate_row(candidate: Candidate, diagnosis: Diagnosis) -> doc.TableRow:
     ]
     shares = (percent(candidate.probability), percent(candidate.unnamed), gain_words(-0.5 * candidate.delta_bic))
     errors = (number(candidate.train_rmse), number(candidate.holdout_rmse))
-    title = titles_of(candidate.effects) + (" with errors of the commands' stamps" if candidate.timing else "")
+    # Where all sets have them, they tell none apart.
+    has_stamps = candidate.timing and not all(other.timing for other in diagnosis.candidates)
+    title = titles_of(candidate.effects) + (" with errors of the commands' stamps" if has_stamps else "")
     is_chosen = diagnosis.verdict.is_corrected and effects == set(diagnosis.verdict.effects)
     cells = (title, *shares, *errors, "; ".join(told))
     return doc.TableRow(cells, " + ".join(candidate.effects), is_marked=is_chosen)

@@ -207,4 +207,5 @@ def _where(name: str, unit: str, at: Array, force: Array) -> str:
     if np.isnan(force).all():
         return "no place that the data visited"
     strong = np.flatnonzero(np.abs(np.nan_to_num(force)) >= STRONG * np.nanmax(np.abs(force)))
-    return f"{name} {at[strong[0]]:.3g} to {at[strong[-1]]:.3g} {unit}"
+    ends = dict.fromkeys(f"{at[place]:.3g}".replace("-", "−") for place in (strong[0], strong[-1]))
+    return f"{name} {' to '.join(ends)} {unit}"
