@@ -3,7 +3,6 @@
 import csv
 import html
 import json
-import os
 import re
 import signal
 import subprocess
@@ -444,31 +443,13 @@ OTHERS = [
     ("simulate", "--profile", "{hostile}", "--duration", "1", "--output", "{folder}/x.csv"),
     ("fit-force", "{folder}/force.csv", "--map", "{hostile}", "--output", "{folder}/o"),
 ]
-HOSTILE = {
-    "endless": lambda path: path.symlink_to("/dev/zero"),
-    "pipe": os.mkfifo,
-    "digits": lambda path: path.write_text("a: " + 20_000 * "9"),
-    "brackets": lambda path: path.write_text(20_000 * "["),
-    "aliases": lambda path: path.write_text(
-        "\n".join(["k0: &k0 [x]", *(f"k{n}: &k{n} [{', '.join(9 * [f'*k{n - 1}'])}]" for n in range(1, 9))])
-    ),
-    "date": lambda path: path.write_text("a: 2026-13-45"),
-    "list as key": lambda path: path.write_text("? [1, 2]\n: 3\n"),
-    "bytes": lambda path: path.write_bytes(bytes(range(256)) * 1000),
-}  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("command", "kind"),
-    [
-        *((command, "endless") for command in (*PARAMETERS[1:], *OTHERS)),
-        *((command, kind) for command in (PARAMETERS[0], OTHERS[1]) for kind in HOSTILE),
-    ],
-)
-def test_a_hostile_file_is_refused_at_once_in_one_line(command: tuple[str, ...], kind: str, tmp_path: Path) -> None:
-    """The limits are those of the readers, which every command uses."""
+@pytest.mark.parametrize("command", [*PARAMETERS, *OTHERS])
+def test_a_hostile_file_is_refused_at_once_in_one_line(command: tuple[str, ...], tmp_path: Path) -> None:
+    """One without end; other kinds of them, which one reader refuses for every command, are in files/test_limits.py."""
     (tmp_path / "force.csv").write_text("displacement,force\n0,1\n1e-3,2\n")
-    HOSTILE[kind](tmp_path / "hostile.yaml")
+    (tmp_path / "hostile.yaml").symlink_to("/dev/zero")
     places = {"bag": BAGS / "one_opening.mcap", "hostile": tmp_path / "hostile.yaml", "folder": tmp_path}
     before = sorted(tmp_path.iterdir())
     started = time.process_time()
@@ -476,7 +457,6 @@ def test_a_hostile_file_is_refused_at_once_in_one_line(command: tuple[str, ...],
     assert time.process_time() - started < 2.0
     assert result.exit_code == 2
     assert result.stderr.count("\n") == 1 and "hostile.yaml" in result.stderr
-    assert len(result.stderr) < 1000
     assert sorted(tmp_path.iterdir()) == before
 
 

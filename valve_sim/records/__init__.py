@@ -1,1 +1,1 @@
-"""What lasts of a valve: the record of its calibration, and the archive of its strokes, findings and alarms."""
+"""What lasts of a valve: the archive of its strokes, findings and alarms, and the story that they tell."""

@@ -6,6 +6,8 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 from plants.laboratory import Laboratory, measure, true_sizes
@@ -16,6 +18,7 @@ from benchmarks.campaign.cases import draw_case
 from benchmarks.campaign.declared import as_trace, declared_valve
 from identification.recordings import Short
 from valve_sim.files.json_text import plain
+from valve_sim.identification.diagnosis import recording_state
 from valve_sim.identification.diagnosis.recording_state import state_of_recording
 from valve_sim.identification.diagnosis.run import Diagnosis, diagnose, diagnose_plant
 from valve_sim.identification.plants.valve import ValvePlant
@@ -178,6 +181,16 @@ def test_a_state_says_what_errors_cost_and_what_to_do() -> None:
     assert "Record more strokes" in words
     entries = json.loads(json.dumps(plain(recording_document(state).to_json()), allow_nan=False))
     assert {"drift", "hum", "stroke_variation"} <= {entry["error"] for entry in entries["recording"]}
+
+
+@pytest.mark.parametrize(("is_long", "recording"), [(True, {"first": ()}), (False, {})])
+def test_of_a_long_recording_or_one_without_errors_no_limits_are_sought(
+    is_long: bool, recording: dict[str, tuple[()]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = SimpleNamespace(fit=SimpleNamespace(problem=SimpleNamespace(is_long=is_long)), recording=recording)
+    monkeypatch.setattr(recording_state, "identify", lambda *_, **__: found)
+    state = state_of_recording(cast("Trace", None), DECLARED)
+    assert (state.limits, state.without_errors) == ({}, {})
 
 
 @pytest.mark.long

@@ -109,13 +109,13 @@ class Kernels:
         return self.system.is_checked or bool(self._curved)
 
     @property
-    def curve(self) -> tuple[int, bool, int, int] | None:
-        """Of a curve of splines: the slot of its first coefficient, whether it repeats, and its two guards."""
+    def curve(self) -> tuple[int, int, int] | None:
+        """Of a curve of splines: the slot of its first coefficient, and its two guards."""
         found = self.system.trace.curve
         if found is None:
             return None
         low, high = (self._guards.index(guard) for guard in (found.low, found.high))
-        return self._slots[found.first], found.periodic, low, high
+        return self._slots[found.first], low, high
 
     def text(self) -> str:
         """All kernels, as text of LLVM."""

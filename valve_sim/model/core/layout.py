@@ -50,9 +50,9 @@ WIDTH: Final = 96
 """Directions of derivatives; 0 for none."""
 LATE: Final = STEP
 """Tangents of the sample times, s, stand in this slot of the tangents."""
-PLACE, CURVE, IS_PERIODIC, LOW_GUARD, HIGH_GUARD = range(97, 102)
+PLACE, CURVE, LOW_GUARD, HIGH_GUARD = range(97, 101)
 """Of a curve of splines: address of the kernel of its place; the slot of its first coefficient, 0 where there is no
-curve; whether it repeats itself; the numbers of the comparisons with the ends of its interval."""
+curve; the numbers of the comparisons with the ends of its interval."""
 CURVE_PLACE, CURVE_INTERVALS, CURVE_INDEX, CURVE_LOW, CURVE_HIGH, CURVE_C = range(102, 108)
 """Its place, in intervals from its first knot; how many intervals; which one it is in, and where that begins and ends;
 the four coefficients of its cubic there."""

@@ -73,9 +73,7 @@ def place_curve(b: Block, t: Block, index: float) -> None:
     first = index
     place = 0.0
     varies = 1.0
-    if b[at.IS_PERIODIC] > 0.0:
-        first = index - (last + 1.0) * whole_below(index / (last + 1.0))
-    elif not (index >= 0.0):
+    if not (index >= 0.0):
         b[at.CURVE_LOW] = -FAR
         b[at.CURVE_HIGH] = 0.0
         first = 0.0
@@ -102,15 +100,10 @@ def set_cubic(own: Block, stride: int, b: Block, first: float, place: float, var
         place, varies: 0 and 1; beyond an end the place where the curve stays, and 0.
     """
     slot = int(b[at.CURVE]) + int(first)
-    beyond = int(b[at.CURVE]) + int(b[at.CURVE_INTERVALS])
-    back = int(b[at.CURVE_INTERVALS]) if b[at.IS_PERIODIC] > 0.0 else 0
     c0 = own[slot * stride]
-    slot += 1
-    c1 = own[(slot if slot < beyond else slot - back) * stride]
-    slot += 1
-    c2 = own[(slot if slot < beyond else slot - back) * stride]
-    slot += 1
-    c3 = own[(slot if slot < beyond else slot - back) * stride]
+    c1 = own[(slot + 1) * stride]
+    c2 = own[(slot + 2) * stride]
+    c3 = own[(slot + 3) * stride]
     d1 = 0.5 * (c2 - c0)
     d2 = 0.5 * (c0 - 2.0 * c1 + c2)
     d3 = (c3 - 3.0 * c2 + 3.0 * c1 - c0) / 6.0

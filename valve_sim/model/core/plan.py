@@ -116,7 +116,7 @@ class Plan:
             blank[layout.READS_TIME] = system.reads_time
             blank[layout.GAS_STEP] = gas_steps.FIRST_STEP
         if kernels.curve is not None:
-            slots = (layout.CURVE, layout.IS_PERIODIC, layout.LOW_GUARD, layout.HIGH_GUARD)
+            slots = (layout.CURVE, layout.LOW_GUARD, layout.HIGH_GUARD)
             blank[list(slots)] = kernels.curve
         blank[layout.MODE] = modes.CLOSED
         blank[layout.DIRECTION] = 1.0

@@ -175,17 +175,17 @@ def _made(node: Node) -> int:
 class Curve(NamedTuple):
     """A curve of uniform cubic B-splines, of which one interval at a time is in the equations.
 
+    It keeps its value beyond its ends.
+
     Attributes:
         place: where it is read, in intervals from its first knot. intervals: how many there are.
         first: the name of its first coefficient; the others follow it among the parameters.
-        periodic: whether it repeats itself; otherwise it keeps its value beyond its ends.
         low, high: what is above 0 within the interval: the place less its beginning, and its end less the place.
     """
 
     place: Node
     intervals: Node
     first: str
-    periodic: bool
     low: Node
     high: Node
 
@@ -343,7 +343,7 @@ def polynomial(a: Node, *coefficients: Expression) -> Node:
     return a.trace.node("polynomial", a, *lifted)
 
 
-def spline(place: Node, intervals: Node, first: str, *, periodic: bool) -> Node:
+def spline(place: Node, intervals: Node, first: str) -> Node:
     """A curve of uniform cubic B-splines; the knots are events. See `Curve` for the arguments.
 
     Raises:
@@ -353,7 +353,7 @@ def spline(place: Node, intervals: Node, first: str, *, periodic: bool) -> Node:
     if trace.curve is not None and trace.curve.place is not place:
         raise ParameterError(f"{first}: found a second curve of splines, expected one; take one of the two out")
     low, high = place - trace.number("curve low"), trace.number("curve high") - place
-    trace.curve = Curve(place, intervals, first, periodic, low, high)
+    trace.curve = Curve(place, intervals, first, low, high)
     c = [trace.number(f"curve {power}") for power in range(4)]
     within = polynomial(place - trace.number("curve at"), *c)
     # The integrator exchanges the coefficients where either comparison ceases to hold, so that it always does.

@@ -85,7 +85,7 @@ def curve(m: Motion, own: Own) -> Node:
     y = {"x": m.x, "v": m.v, "t": m.t}[variable[0]]
     intervals = own.count - 3.0
     place = (y - own.low) * (intervals / (own.high - own.low))
-    value = spline(place, intervals, "force_map.c1", periodic=False)
+    value = spline(place, intervals, "force_map.c1")
     if variable == "x·u²":
         return value * m.u * m.u
     return -value * m.v if "v" in variable else value
