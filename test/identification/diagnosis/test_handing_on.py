@@ -44,3 +44,9 @@ def test_an_effect_that_may_as_well_be_absent_is_not_set_and_what_is_beside_it_i
     assert (handed.objection, handed.held) == ("", ("coulomb_friction.force",))
     assert not handed.valve.effects
     assert handed.valve.declared()["main_damping"] == pytest.approx(3.0, rel=0.1)
+
+
+def test_a_damping_that_predicts_worse_than_the_declared_one_without_a_force_that_is_held_back_is_not_set() -> None:
+    handed = found(one_opening(3, pilot_damping=1.0, main_damping=4.0), ("main_damping", "constant_force.force"))
+    assert handed.held == ("constant_force.force",)
+    assert handed.objection
