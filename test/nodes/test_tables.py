@@ -98,7 +98,7 @@ CASES = {
     ),
     "archive_node": Case(
         "/archive", station.ARCHIVE_TOPICS, station.ArchiveSettings,
-        f"{LISTS['valve']} {LISTS['monitor']} -p folder:={{folder}}", needs="pyarrow",
+        f"{LISTS['valve']} {LISTS['monitor']} -p folder:={{folder}}",
     ),
 }  # fmt: skip
 

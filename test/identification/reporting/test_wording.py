@@ -148,6 +148,10 @@ def test_a_guess_is_called_a_guess(diagnosis: Diagnosis) -> None:
 def test_the_report_for_programs_has_the_same_words(diagnosis: Diagnosis) -> None:
     report = diagnosis_document(diagnosis).to_json()
     assert report["verdict"]["headline"] == headline(diagnosis)
+    force, told = diagnosis.after.intervals["coulomb_friction.force"], report["after"]["effects"]["coulomb_friction"]
+    assert told["force"]["stderr"] == force.stderr
+    assert told["force"]["ci95"] == [force.low, force.high]
+    assert told["force"]["was"] == 0.0
     meaning = report["meaning"]["coulomb_friction"]
     assert meaning["severity"] == "4 % of the spring preload"
     assert meaning["what_to_do"] == CATALOGUE["coulomb_friction"].what_to_do
