@@ -296,9 +296,9 @@ def test_a_port_that_is_taken_is_one_line(served: Served) -> None:
         other.start()
 
 
-def plain_registers(port: int, act: Any = None) -> ModbusTcpServer:
-    """A PLC that is the server: pymodbus's, with 40 registers."""
-    registers = SimData(100, count=40, values=0, datatype=DataType.REGISTERS)
+def plain_registers(port: int, act: Any = None, count: int = 40) -> ModbusTcpServer:
+    """A PLC that is the server: pymodbus's, with so many registers from 100 on."""
+    registers = SimData(100, count=count, values=0, datatype=DataType.REGISTERS)
     return ModbusTcpServer(SimDevice(0, simdata=[registers], action=act), address=("127.0.0.1", port))
 
 
@@ -323,6 +323,25 @@ def test_polling_ends_whenever_it_is_stopped() -> None:
         await server.shutdown()
 
     asyncio.run(play())
+
+
+@pytest.mark.parametrize(
+    ("count", "words"), [(1, "register 100 cannot be read"), (12, "register 110 cannot be written")]
+)
+def test_registers_that_a_plc_does_not_have_are_said_and_switch_nothing(count: int, words: str) -> None:
+    async def play() -> None:
+        said: list[str] = []
+        server = plain_registers(port := free_port(), count=count)
+        await server.serve_forever(background=True)
+        client = PlcClient(PlcStation(("valve",), watchdog=0.5), "127.0.0.1", port, first=100, say=said.append)
+        await client.start()
+        while not said:
+            await asyncio.sleep(0.005)
+        assert words in said[0] and client.cycles == 0
+        await client.stop()
+        await server.shutdown()
+
+    asyncio.run(asyncio.wait_for(play(), 60.0))
 
 
 def test_a_plc_that_is_the_server_is_polled_lost_and_found() -> None:

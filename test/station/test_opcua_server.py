@@ -218,6 +218,15 @@ def test_files_that_cannot_be_used_end_the_start_with_one_line(tmp_path: Path) -
     with pytest.raises(ValveError, match=r"history\.db: cannot be used as a history"):
         asyncio.run(start(folder, free_port()))
     (folder / "history.db").unlink()
+    key = folder / "own" / "key.pem"
+    key.unlink()
+    key.mkdir()
+    with pytest.raises(
+        ValveError, match=r"key\.pem: cannot be read \(Is a directory.*; delete .* start the node again"
+    ):
+        asyncio.run(start(folder, free_port()))
+    key.rmdir()
+    key.touch()
     (folder / "own" / "certificate.der").write_bytes(b"nothing")
     with pytest.raises(ValveError, match=r"certificate\.der: is no certificate"):
         asyncio.run(start(folder, free_port()))
