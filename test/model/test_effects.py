@@ -48,6 +48,28 @@ def test_any_two_effects_are_simulated_with_and_without_derivatives(first: str) 
         np.testing.assert_allclose(shown.positions, simulate(valve, PULSE, TIMES).pilot_position, 0.0, 1e-10)
 
 
+ALONE = {
+    "with_gas": {True: {"pilot_clogging", "seat_leak"}, False: {"pressure_force", "stop_compliance"}},
+    "named": {False: {"force_map"}},
+    "tried": {False: {"stop_compliance"}},
+    "needs_inductance": {True: {"motional_emf"}},
+    "phase_2_only": {True: {"spring_hardening"}},
+}
+"""Effects that differ from all others in something, by what that is there."""
+
+
+def test_effects_are_of_the_kinds_that_they_are_and_their_parameters_may_be_neutral() -> None:
+    for what, apart in ALONE.items():
+        for value, names in apart.items():
+            assert {name for name, effect in CATALOGUE.items() if getattr(effect, what) is value} == names, what
+    for own in (own for effect in CATALOGUE.values() for own in effect.parameters):
+        assert own.lower < own.upper and own.prior_scale >= 0.0, own
+        assert own.lower <= own.neutral <= own.upper or own.neutral == math.inf, own
+    assert CATALOGUE["coil_lag"].parameter("time_constant").unit == "s"
+    with pytest.raises(KeyError):
+        CATALOGUE["coil_lag"].parameter("force")
+
+
 def test_a_parameter_that_is_not_given_is_neutral() -> None:
     neutral = CATALOGUE["stiction"].neutral_values()
     alone = Valve(CALIBRATED.parameters, {"stiction": {"force": 0.1}})
