@@ -9,7 +9,7 @@ import re
 import shutil
 from collections import Counter
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import pyarrow.parquet as pq
 import pytest
@@ -21,6 +21,7 @@ from valve_sim.cli import main
 from valve_sim.fleet import columns, table
 from valve_sim.fleet import run as fleet_run
 from valve_sim.fleet.run import examine_fleet
+from valve_sim.fleet.sources import Bag
 from valve_sim.fleet.units import Options, ParameterChoice, Row
 from valve_sim.model.errors import ValveError
 
@@ -126,6 +127,18 @@ def test_only_what_is_new_changed_or_was_lost_is_done_again(
     (bags / "moved").rename(bags / "again")
     examine_fleet([str(bags / "again")], output, parameters=chosen, options=Options(full=True))
     assert len(asked) == 3 and {"again", "day_2"} <= by_name(output).keys() and "moved" not in by_name(output)
+    shutil.copytree(bags / "day_2", bags / "day_4")
+    with monkeypatch.context() as patch:
+        patch.setattr(fleet_run, "look", gone)
+        examine_fleet([str(bags)], output, parameters=chosen, options=Options(full=True))
+    assert (by_name(output)["day_4"]["state"], by_name(output)["day_2"]["state"]) == ("lost", "examined")
+    assert by_name(output)["day_4"]["error"] == f"{bags / 'day_4'}: OSError: gone"
+    examine_fleet([str(bags)], output, parameters=chosen, options=Options(full=True))
+    assert by_name(output)["day_4"]["state"] == "duplicate"
+
+
+def gone(bag: Bag) -> NoReturn:
+    raise OSError("gone")
 
 
 def test_a_run_that_is_stopped_or_whose_disk_gets_full_goes_on_from_what_it_saved(
