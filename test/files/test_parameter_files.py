@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import math
+import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, seed, settings
+from hypothesis import strategies as st
 
 from valve_sim.files.parameter_files import default_valve, load_recorded_valve, load_valve, save_valve
 from valve_sim.files.parameter_sections import Section, default_parameters, read_sections, write_sections
 from valve_sim.files.resources import config_path
-from valve_sim.model import CATALOGUE, EXACT, ParameterError, Valve
+from valve_sim.model import CATALOGUE, DECLARED, EXACT, Drive, ParameterError, Valve, published_times, simulate
 from valve_sim.model.tolerances import TOLERATED
 
 
@@ -76,6 +81,7 @@ def test_an_integer_may_stand_for_a_double(tmp_path: Path) -> None:
         ("effects: {stiction: {force: -1}}", ["effects.stiction.force", "-1", "from 0 to 100000 N"]),
         ("effects: {stiction: {}}", ["effects.stiction", "{}", "force, breakaway, stribeck_velocity"]),
         ("effects: {stiction: 0.3}", ["effects.stiction", "0.3", "force, breakaway, stribeck_velocity"]),
+        ("effects: {stroke_offset: {offset: -1.2e-3}}", ["with effects", "pilot_gap < stroke"]),
         ("effects: {sensor_bandwidth: {cutoff_frequency: -.inf}}", ["cutoff_frequency", "-inf", "1e+09 Hz"]),
         ("pilot_mass: 0.1", ["pilot_mass", "0.1", "valve.pilot_mass"]),
         ("stiction: {force: 0.1}", ["stiction.force", "0.1", "effects.stiction.force"]),
@@ -85,9 +91,15 @@ def test_an_integer_may_stand_for_a_double(tmp_path: Path) -> None:
         ("publish_rate: 100", ["no parameters of a valve", "ros__parameters"]),
         ("tolerances: {spring_rat: 12.8}", ["tolerances.spring_rat", "12.8", "did you mean tolerances.spring_rate"]),
         ("tolerances: {valve: {stroke: 1e-6}}", ["tolerances.valve.stroke", "did you mean tolerances.stroke"]),
+        ("tolerances: {stroke: -4e-6}", ["tolerances.stroke", "-4e-06", "a number from 0 to 0.1 m"]),
+        ("tolerances: {stroke: .nan}", ["tolerances.stroke", "nan", "a number from 0 to 0.1 m"]),
+        ("tolerances: {stroke: 4 um}", ["tolerances.stroke", "'4 um'", "expected a number in m"]),
         ("tolerances: {stroke: }", ["tolerances.stroke", "has no value"]),
         ("tolerances: 3", ["tolerances", "found 3", "names of declared values"]),
+        ("tolerances: {a1: 30.0}", ["tolerances.a1", "attraction_covariance", "16 numbers"]),
         ("tolerances: {attraction_polynomial: [0, 1, 2, 3]}", ["attraction_polynomial", "attraction_covariance"]),
+        ("tolerances: {attraction_covariance: [1.0, 2.0]}", ["attraction_covariance", "list of 2", "16 numbers"]),
+        ("tolerances: {effects: {coulomb_friction: {force: 0.1}}}", ["coulomb_friction.force", "not declared on"]),
         ("tolerances: {effects: {coulomb_friction: 0.1}}", ["effects.coulomb_friction", "<effect>.<parameter>"]),
         ("tolerances: {effects: 0.1}", ["tolerances.effects", "0.1"]),
         ("tolerance: {stroke: 1e-6}", ["tolerance.stroke", "1e-06", "expected tolerances:"]),
@@ -164,20 +176,14 @@ def test_an_effect_is_on_when_a_parameter_differs_from_its_off_value(tmp_path: P
 
 
 def test_what_is_saved_is_read_back(tmp_path: Path) -> None:
-    roots = np.array([[7.0, -300.0, 1e6, 3e8], [0.1, 41.0, -3e5, 1e9]]) / 3.0
-    tolerances = {
-        "stroke": 1e-6 / 3.0, "effects": {"stiction": {"force": 0.1}},
-        "attraction_covariance": (roots.T @ roots).ravel().tolist(),
-    }  # fmt: skip
-    effects = {"stiction": {"force": 0.25, "breakaway": 1e-5, "stribeck_velocity": 0.02}, "drive_gain": {"gain": 0.9}}
-    content = {"valve": {"pilot_damping": 1 / 3}, "effects": effects, "tolerances": tolerances}
-    valve, path, copy = Valve.from_mapping(content, "made"), tmp_path / "saved.yaml", tmp_path / "copy.yaml"
+    valve = Valve(
+        default_valve().parameters._replace(pilot_damping=1 / 3), {"stiction": stiction(), "drive_gain": {"gain": 0.9}}
+    )
+    path = tmp_path / "saved.yaml"
     save_valve(path, valve, "identified from a bag\nand so on")
     assert load_valve(path) == valve
     assert path.read_text().startswith("# identified from a bag\n# and so on\n/**:\n")
     assert list(tmp_path.iterdir()) == [path]
-    write_sections(copy, read_sections(path))
-    assert load_valve(copy) == valve
 
 
 @pytest.mark.parametrize(
@@ -211,6 +217,50 @@ def test_a_dump_whose_tolerances_are_zeros_is_exact(tmp_path: Path) -> None:
     ]
     zeros.append(f"tolerances.attraction_covariance: {16 * [0.0]}")
     assert load_valve(written(tmp_path, below_parameters("\n".join(zeros)))).tolerances == EXACT
+
+
+def sizes(upper: float) -> st.SearchStrategy[float]:
+    return st.floats(0.0, upper, exclude_min=True, allow_subnormal=False)
+
+
+@seed(16)
+@settings(max_examples=60, suppress_health_check=list(HealthCheck))
+@given(
+    declared=st.fixed_dictionaries(
+        {}, optional={name: sizes(DECLARED[name].upper - DECLARED[name].lower) for name in TOLERATED}
+    ),
+    root=st.none() | st.lists(st.lists(st.integers(-1000, 1000), min_size=4, max_size=4), max_size=4),
+    friction=st.fixed_dictionaries({}, optional={"force": sizes(10.0), "stribeck_velocity": sizes(1.0)}),
+)
+def test_what_is_saved_with_tolerances_is_read_back(
+    declared: dict[str, float], root: list[list[int]] | None, friction: dict[str, float]
+) -> None:
+    tolerances: dict[str, Any] = {**declared, "effects": {"stiction": friction}}
+    if root is not None:
+        scaled = np.array(root).reshape(-1, 4) * (1e-4, 0.1, 1e2, 1e5)
+        tolerances["attraction_covariance"] = [float(value) for value in (scaled.T @ scaled).ravel()]
+    valve = Valve.from_mapping({"effects": {"stiction": stiction()}, "tolerances": tolerances}, "drawn")
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "saved.yaml"
+        save_valve(path, valve, "drawn")
+        assert load_valve(path) == valve
+        copy = Path(folder) / "copy.yaml"
+        write_sections(copy, read_sections(path))
+        assert load_valve(copy) == valve
+
+
+def stiction() -> dict[str, float]:
+    return {"force": 0.25, "breakaway": 1e-5, "stribeck_velocity": 0.02}
+
+
+def test_a_file_that_cannot_be_written_is_left_as_it_was(tmp_path: Path) -> None:
+    with pytest.raises(ParameterError, match="cannot be written"):
+        save_valve(tmp_path, default_valve(), "")
+    target = tmp_path / "folder"
+    target.mkdir()
+    with pytest.raises(ParameterError, match="cannot be written"):
+        save_valve(target, default_valve(), "")
+    assert list(tmp_path.iterdir()) == [target]
 
 
 TWO = """
@@ -257,6 +307,37 @@ def test_plain_copies_mean_the_same(tmp_path: Path) -> None:
     write_sections(copy, read_sections(path))
     assert read_sections(copy) == read_sections(path)
     assert "0.0, 1.5" in copy.read_text()
+
+
+def test_the_default_opens_at_the_published_times_and_the_published_one_never() -> None:
+    response = simulate(default_valve(), Drive.of([0.0], [9.0]), [0.02])
+    assert published_times(response) == pytest.approx((5.3e-3, 9.9e-3), abs=1e-6)
+    published = load_valve(config_path("published.yaml"))
+    assert published.exact() == Valve()
+    assert not published.can_open()
+    assert all(math.isnan(time) for time in published_times(simulate(published, Drive.of([0.0], [9.0]), [1.0])))
+
+
+def test_shipped_tolerances_are_what_their_comments_say() -> None:
+    declared = default_valve().parameters
+    for name in ("published.yaml", "valve.yaml"):
+        tolerances = load_valve(config_path(name)).tolerances
+        known = tolerances.declared
+        assert known["pilot_mass"] == pytest.approx(1e-3 / math.sqrt(12), rel=0.01)
+        assert known["moving_mass"] == pytest.approx(1e-3 / math.sqrt(6), rel=0.01)
+        assert known["spring_rate"] == pytest.approx(0.03 * declared.spring_rate, rel=0.01)
+        assert known["spring_preload"] == pytest.approx(0.03 * declared.spring_preload, rel=0.01)
+        assert known["pilot_gap"] == known["stroke"] == pytest.approx(10e-6 / math.sqrt(12), rel=0.01)
+        displacement = np.linspace(0.0, declared.stroke, 200)
+        powers = displacement[:, None] ** np.arange(4)
+        force = powers @ Valve().parameters.attraction_polynomial
+        shapes = [np.polynomial.Legendre.basis(n, [0.0, declared.stroke])(displacement) for n in (1, 2, 3)]
+        sizes = [0.015 * force, *(0.01 * np.trapezoid(force, displacement) / declared.stroke * s for s in shapes)]
+        expected = sum(size**2 for size in sizes) + (0.18**2 if name == "valve.yaml" else 0.0)
+        found = np.einsum("ij,jk,ik->i", powers, np.array(tolerances.attraction_covariance), powers)
+        np.testing.assert_allclose(found, expected, rtol=2e-3)
+    assert "coil_time_constant" in known
+    assert "coil_time_constant" not in load_valve(config_path("published.yaml")).tolerances.declared
 
 
 @pytest.mark.parametrize("tank", [1, 2, 3])

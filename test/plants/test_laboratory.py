@@ -11,13 +11,14 @@ import pytest
 from .common import FloatArray
 from .declared import DeclaredPlant
 from .laboratory import (
+    DROPOUT_CODE,
     IMPACT,
     IMPERFECTIONS,
     LABORATORIES,
     Laboratory,
     measure,
 )
-from .recording import Profile, Recorder, Recording, record, single_opening, train_profile
+from .recording import Profile, Recorder, Recording, holdout_profile, record, single_opening, train_profile
 from .tolerances import SHEET_VALVE
 
 pytestmark = pytest.mark.long
@@ -48,6 +49,11 @@ def error(laboratory: Laboratory, profile: Profile | None = None, seed: int = SE
 
 def changed(laboratory: Laboratory, values: Mapping[str, Any]) -> Laboratory:
     return replace(laboratory, **values)
+
+
+def resting(seconds: float) -> Profile:
+    """A closed valve: nothing but the sensor's own errors."""
+    return Profile(np.array([0.0]), np.array([0.0]), seconds)
 
 
 def both_errors(
@@ -84,6 +90,15 @@ def test_a_laboratory_with_nothing_on_is_a_recorder_with_white_noise() -> None:
     assert recorded(Laboratory()).coil_current is None
 
 
+@pytest.mark.parametrize("name", LABORATORIES)
+def test_a_seed_determines_a_recording(name: str) -> None:
+    laboratory = LABORATORIES[name]
+    made, again, other = (recorded(laboratory, train_profile(), seed) for seed in (SEED, SEED, SEED + 1))
+    for one in ("pilot_position", "main_position", "command_times"):
+        np.testing.assert_array_equal(getattr(made, one), getattr(again, one))
+    assert np.abs(made.pilot_position - other.pilot_position).max() > 0.5e-6
+
+
 @pytest.mark.parametrize("name", [name for name in IMPERFECTIONS if name not in OF_THE_VALVE])
 def test_an_error_of_measuring_leaves_the_truth_alone(name: str) -> None:
     made, plain = recorded(IMPERFECTIONS[name][2]), recorded(Laboratory())
@@ -109,6 +124,12 @@ def test_switching_one_error_on_leaves_the_draws_of_all_others_alone() -> None:
         np.testing.assert_array_equal(whole.command_times, less.command_times)
 
 
+# --- noise -----------------------------------------------------------------------------------------------------------
+
+
+# --- the zero --------------------------------------------------------------------------------------------------------
+
+
 # --- the mount -------------------------------------------------------------------------------------------------------
 
 
@@ -128,6 +149,34 @@ def test_the_mount_rings_after_each_contact_by_the_momentum_that_was_lost() -> N
     np.testing.assert_allclose(made.main_position - made.truth.main_position, ring, atol=1e-15)
 
 
+# --- linearity -------------------------------------------------------------------------------------------------------
+
+
+# --- electronics -----------------------------------------------------------------------------------------------------
+
+
+def test_spikes_and_dropouts_are_as_many_as_asked_and_stand_alone() -> None:
+    laboratory = replace(SILENT, outliers=20.0, outlier_size=50e-6, dropouts=4.0)
+    readings = np.concatenate([one for seed in range(4) for one in both_errors(laboratory, resting(2.5), seed)])
+    lost = readings == DROPOUT_CODE
+    spikes = readings[(readings != 0.0) & ~lost]
+    assert lost.sum() == pytest.approx(4.0 * 20.0, abs=3.0 * np.sqrt(80.0))
+    assert spikes.size == pytest.approx(20.0 * 20.0, abs=3.0 * np.sqrt(400.0))
+    assert 25e-6 <= np.abs(spikes).min() < np.abs(spikes).max() <= 75e-6
+    assert 0.4 < np.mean(spikes > 0.0) < 0.6
+
+
+def test_a_moving_average_is_late_and_calms_the_noise() -> None:
+    made, plain = recorded(Laboratory(averaging=4)), recorded(Laboratory())
+    wanted = np.convolve(plain.pilot_position, np.full(4, 0.25))[3 : plain.times.size]
+    np.testing.assert_allclose(made.pilot_position[3:], wanted, atol=1e-15)
+    assert made.pilot_position[0] == pytest.approx(plain.pilot_position[0])
+    assert error(Laboratory(averaging=4), resting(0.5)).std() == pytest.approx(0.5e-6, rel=0.05)
+
+
+# --- clocks ----------------------------------------------------------------------------------------------------------
+
+
 # --- the source and the strokes --------------------------------------------------------------------------------------
 
 
@@ -144,3 +193,16 @@ def test_the_drop_is_by_the_current_of_a_warm_coil_at_the_driver_s_gain() -> Non
     settled = 1.0 - np.exp(-2.0 / 0.5)
     load = 1.0 + 0.00393 * 400.0 * 0.5 * u**2 * settled + 0.05
     assert u == pytest.approx(1.05 / load, rel=5e-3)
+
+
+def test_strokes_join_at_rest() -> None:
+    made = recorded(replace(SILENT, stroke_variation=0.15), holdout_profile())
+    starts = holdout_profile().times[[2, 5, 7, 9, 11]]
+    for start in starts:
+        around = np.abs(made.times - start) < 0.2e-3
+        np.testing.assert_allclose(made.truth.pilot_position[around], 0.0, atol=1e-9)
+    assert np.all(np.diff([event.time for event in made.truth.events]) >= 0.0)
+    assert np.abs(np.diff(made.truth.pilot_position)).max() < 50e-6
+
+
+# --- whole laboratories ----------------------------------------------------------------------------------------------

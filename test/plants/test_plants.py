@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from model.random_valves import RANGES
 from numpy.typing import NDArray
 from rosbags.highlevel import AnyReader
 from scipy.integrate import solve_ivp
@@ -16,7 +17,7 @@ from scipy.integrate import solve_ivp
 from .common import FloatArray, Plant, PlantRun
 from .declared import DeclaredPlant
 from .mismatched import MismatchedPlant
-from .recording import Recorder, holdout_profile, record, single_opening, write_bag
+from .recording import Recorder, holdout_profile, record, single_opening, train_profile, write_bag
 from .reluctance import Build, ReluctancePlant
 from .tolerances import SHEET_VALVE, declared_tolerances, deviated, drawn_deviations
 
@@ -62,6 +63,15 @@ def test_declared_tolerances_are_those_of_what_is_drawn() -> None:
 
 
 # --- plant (b) -------------------------------------------------------------------------------------------------------
+
+
+def test_mismatched_plant_opens_like_the_paper() -> None:
+    run = one_stroke(MismatchedPlant())
+    assert run.first("picked_up") == pytest.approx(5.3e-3, abs=2e-6)
+    assert run.first("opened") == pytest.approx(9.9e-3, abs=2e-6)
+    assert run.pilot_position.max() == pytest.approx(1.23e-3, abs=5e-6)
+    assert run.main_position.max() == pytest.approx(0.97e-3, abs=5e-6)
+    assert run.pilot_position[-1] == pytest.approx(0.0, abs=2e-6)
 
 
 EVENTFUL = {
@@ -141,7 +151,64 @@ def test_the_reluctance_plant_loses_no_energy_but_in_its_dampers() -> None:
         assert work == pytest.approx(kinetic, rel=1e-5)
 
 
+def test_pick_up_keeps_the_momentum_of_the_reluctance_plant() -> None:
+    build = IDEAL
+    fine: FloatArray = np.arange(0.0, 0.01, 1e-7)
+    run = one_stroke(ReluctancePlant(build=build), samples=fine)
+    met = next(event for event in run.events if event.kind == "picked_up")
+    after = run.pilot_velocity[np.searchsorted(fine, met.time)]
+    together = build.pilot_mass + build.main_mass
+    assert together * after == pytest.approx(build.pilot_mass * met.velocity, rel=1e-4)
+
+
+@pytest.mark.parametrize("plant", [MismatchedPlant, ReluctancePlant])
+def test_every_effect_of_a_plant_of_another_form_shows(plant: Callable[..., Plant]) -> None:
+    values = {name: {key: 0.4 * low + 0.6 * high for key, (low, high) in own.items()} for name, own in RANGES.items()}
+    plain = one_stroke(plant()).pilot_position
+    moved = {
+        name: np.abs(one_stroke(plant({name: own})).pilot_position - plain).max()
+        for name, own in values.items()
+        if name != "pickup_impact"
+    }
+    assert {name: size for name, size in moved.items() if size <= 0.5e-6} == {}
+
+
 # --- recordings ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "plant",
+    [
+        pytest.param(DeclaredPlant(), id="declared"),
+        pytest.param(MismatchedPlant(), id="mismatched"),
+        pytest.param(ReluctancePlant(), id="reluctance"),
+    ],
+)
+def test_profiles_are_what_they_say(plant: Plant) -> None:
+    train = record(plant, train_profile(), Recorder(), 1).truth
+    opened = [event.time for event in train.events if event.kind == "opened"]
+    assert np.count_nonzero(np.diff(opened, prepend=-1.0) > 0.03) == 8
+    assert train.pilot_position[-1] == pytest.approx(0.0, abs=1e-6)
+    holdout = record(plant, holdout_profile(), Recorder(), 1).truth
+    lifts = np.split(holdout.main_position, np.searchsorted(holdout.time, [0.06, 0.125, 0.165, 0.22, 0.255]))
+    partial = [0.05e-3 < lift.max() < 0.9e-3 for lift in lifts]
+    assert partial == [False, False, True, False, True, False]
+    assert record(plant, single_opening(), Recorder(), 1).truth.pilot_position[-1] == pytest.approx(1.23e-3, abs=5e-6)
+
+
+def test_noise_is_what_was_asked_for() -> None:
+    recorder = Recorder(position_noise=2e-6, colour=0.7, command_jitter=50e-6, clock_offset=1e-3, with_current=True)
+    made, again = (record(DeclaredPlant(), train_profile(), recorder, 3) for _ in range(2))
+    np.testing.assert_array_equal(made.pilot_position, again.pilot_position)
+    noise = made.pilot_position - made.truth.pilot_position
+    assert noise.std() == pytest.approx(2e-6, rel=0.1)
+    assert np.corrcoef(noise[1:], noise[:-1])[0, 1] == pytest.approx(0.7, abs=0.05)
+    shift = made.command_times - made.true_command_times - 1e-3
+    assert 20e-6 < shift.std() < 90e-6
+    assert made.coil_current is not None
+    assert (made.coil_current - made.truth.coil_current).std() == pytest.approx(1e-3, rel=0.05)
+    other = record(DeclaredPlant(), train_profile(), recorder, 4)
+    assert np.abs(other.pilot_position - made.pilot_position).max() > 1e-6
 
 
 def test_the_bag_holds_what_was_measured(tmp_path: Path) -> None:

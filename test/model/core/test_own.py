@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from plants.rubbing import rubbing_axis
 
 from valve_sim.model.core.hybrid.system import EquationsError
 from valve_sim.model.core.own.equations import Equations
@@ -37,6 +38,18 @@ def driven(count: int = 2001) -> tuple[Array, Inputs]:
     times = np.linspace(0.0, 2.0, count)
     force = 1.5 * np.sin(2.0 * np.pi * 0.7 * times)
     return times, Inputs(times, force[:, None], np.array([False]))
+
+
+def test_an_axis_sticks_and_slips_as_one_of_small_steps_does() -> None:
+    times, inputs = driven(401)
+    shown, *_ = axis().run(NUMBERS, AT_REST, inputs, times)
+    position, velocity = rubbing_axis(times, inputs.levels[:, 0], 1.0, 0.2, 0.5, 0.3)
+    assert np.max(np.abs(shown[:, 0] - position)) < 2e-5 * np.ptp(position)
+    assert np.max(np.abs(shown[:, 1] - velocity)) < 2e-4 * np.ptp(velocity)
+    sticks = np.abs(velocity) < 1e-12
+    assert 0.05 < sticks.mean() < 0.9
+    assert np.max(np.abs(shown[sticks, 1])) < 1e-3
+    assert np.mean(shown[sticks, 1] == 0.0) > 0.9
 
 
 def test_derivatives_along_many_directions_are_those_along_each() -> None:
