@@ -114,6 +114,17 @@ FORMS: dict[str, tuple[str | bytes, object, str]] = {
     "commas alone above": (",,\n" + rows("{t},{x}"), 1, "2"),
     "Fortran": ("t lift\n" + rows("{t}D+00 {x}D+00"), "t", "lift"),
     "LabVIEW": (LABVIEW + "X_Value\tlift\tVoltage 1\tComment\n" + rows("{t}\t{x}\t9\t", comma=True), "X_Value", "lift"),
+    "LabVIEW, comments that no row has": (
+        LABVIEW + "X_Value\tlift\tVoltage 1\tComment\n" + rows("{t}\t{x}\t9", comma=True), "X_Value", "lift",
+    ),
+    "R": (
+        '"t" "lift"\n' + "".join(f'"{n}" {row}\n' for n, row in enumerate(rows("{t} {x}").splitlines(), 1)),
+        "t", "lift",
+    ),
+    "names behind a mark": ("#,t,lift\n" + rows("{n},{t},{x}"), "t", "lift"),
+    "halves of a day": ("Time,lift\n" + rows("{d:%I:%M:%S.%f %p},{x}"), "Time", "lift"),
+    "milliseconds of a controller": ("Time,lift\n" + rows("{d:%H:%M:%S;%f},{x}"), "Time", "lift"),
+    "two encodings": ("t,lift [µm]\n# ".encode() + b"\xd6ffnung\n" + rows("{t},{x}").encode(), "t", "lift [µm]"),
     "Campbell": (CAMPBELL + rows('"{d:%Y-%m-%d %H:%M:%S.%f}",{n},{x},"NAN"'), "TIMESTAMP", "lift"),
     "Rigol": ("X,lift,CH2,Start,Step\nSequence,Volt,Volt,0,1e-3\n" + rows("{n},{x},9,,"), {"rate": 1000}, "lift"),
     "Yokogawa": (YOKOGAWA + rows(",{x},9"), {"rate": 1000}, "lift"),
@@ -201,7 +212,7 @@ def test_what_follows_the_numbers_is_left_out_and_said(end: str, words: str, tmp
     assert words in table.findings[0]
 
 
-@pytest.mark.parametrize("line", ["# trigger", "t,lift"])
+@pytest.mark.parametrize("line", ["# trigger", "t,lift", "t,x,y"])
 def test_comments_and_a_head_that_stands_again_among_the_numbers_are_left_out_and_said(
     line: str, tmp_path: Path
 ) -> None:
@@ -226,6 +237,7 @@ def test_comments_and_a_head_that_stands_again_among_the_numbers_are_left_out_an
         ("Abtastrate: 2000 Hz\nn;lift\n", 0.5e-3),
         ("Sampling interval [s],0.002\nn,lift\n", 2e-3),
         ("Sample Interval,250 us\nn,lift\n", 0.25e-3),
+        ("Sample Period:,2,ms,\nn,lift\n", 2e-3),
         ("Rate of the pump,50\nn,lift\n", 0.0),
     ],
 )
@@ -256,7 +268,7 @@ def test_names_and_units(head: str, names: tuple[str, ...], units: dict[str, str
 CELLS = {
     1.0: ("1", "TRUE", "on", "Ein"),
     0.0: ("false", "OFF", "aus"),
-    math.nan: ("", "-", "#N/A", "NaN", "-nan(ind)", "1.#QNAN", "#DIV/0!", "null", "Invalid"),
+    math.nan: ("", "-", "-----", "#N/A", "NaN", "-nan(ind)", "1.#QNAN", "#DIV/0!", "null", "Invalid"),
     math.inf: ("∞", "inf", "1.#INF", "OVERLOAD", "OL", "over range"),
     -math.inf: ("-∞", "-1.#INF", "-Infinity"),
     1234567.5: ("1234567,5", "1,234,567.5", "1.234.567,5", "1'234'567.5", "1.2345675D6"),
@@ -270,6 +282,20 @@ CELLS = {
 def test_a_cell_says_a_number(value: float | None, cell: str) -> None:
     found = number_in(cell)
     assert found == value or (found is not None and value is not None and math.isnan(found) and math.isnan(value))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("t;x\n0;998\n1;1.001\n2;1.004\n3;\n", r"column x: 1.001 beside numbers without a mark may be .* thousands"),
+        ('t,x\n0,998\n1,"1,001"\n2,"1,234,567"\n', r"column x: 1,001 beside numbers without a mark may be"),
+        ("t,x\n0,000,1,5\n0,001,1,7\n0,002,1,8\n", "line 2 has 4 whole numbers for 2 names: commas part its cells and"),
+    ],
+)
+def test_marks_that_may_mean_two_things_are_refused(text: str, words: str, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(TableError, match=words):
+        open_table(tmp_path / "a.csv").column("x")
 
 
 def test_cells_stay_in_their_columns_and_a_last_one_may_begin_late(tmp_path: Path) -> None:
@@ -315,9 +341,13 @@ def test_parquet(tmp_path: Path) -> None:
 
 def test_matlab(tmp_path: Path) -> None:
     file = tmp_path / "a.mat"
-    savemat(file, {"t": TIMES, "log": {"lift": LIFTS}, "both": np.column_stack([TIMES, LIFTS]), "rate": 1000.0})
+    signals = [{"label": "coil", "values": TIMES}, {"label": "lift", "values": LIFTS}]  # of Simulink
+    both = np.column_stack([TIMES, LIFTS])
+    savemat(file, {"t": TIMES, "log": {"lift": LIFTS}, "both": both, "rate": 1000.0, "scope": {"signals": signals}})
     table = open_table(file)
-    assert table.names == ("t", "log.lift", "both[1]", "both[2]")
+    assert table.names == (
+        "t", "log.lift", "both[1]", "both[2]", "scope.signals[1].values", "scope.signals[2].values",
+    )  # fmt: skip
     np.testing.assert_array_equal(table.column("log.lift"), LIFTS)
     np.testing.assert_array_equal(table.column("both[2]"), LIFTS)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import re
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -543,6 +544,9 @@ DRAFTED = {
         "t,u,lift", "{d:%m/%d/%Y %I:%M:%S.%f %p},{u:.4f},{x:.5f}", "'%m/%d/%Y %I:%M:%S.%f %p'", "lift, unit: mm",
     ),
     "voltages of a card": ("X_Value,Voltage,Voltage 1", "{t:.6f},{u:.4f},{x:.5f}", "X_Value", "Voltage 1, unit: mm"),
+    "days": ("t,u,lift", "{days:.12f},{u:.4f},{x:.5f}", "unit: d", "lift, unit: mm"),
+    "a log of changes": ("t,u,lift", "{t:.6f},{change},{x:.5f}", "column: t", "lift, unit: mm"),
+    "a counter that jumps": ("n,t,u,lift", "{n},{t:.6f},{u:.4f},{x:.5f}", "column: t", "lift, unit: mm"),
     "nanometres": ("t,u,lift", "{t:.6f},{u:.4f},{nm:.0f}", "column: t", "lift, unit: nm"),
 }  # fmt: skip
 
@@ -551,10 +555,13 @@ DRAFTED = {
 def test_a_first_map_of_a_table_finds_its_time_and_its_position(kind: str, tmp_path: Path, made: Recording) -> None:
     head, form, time, position = DRAFTED[kind]
     lines, midnight = [head] if head else [], datetime(2024, 3, 2, 23, 59, 59, 950_000)
-    for t, x in zip(made.times.tolist(), made.pilot_position.tolist(), strict=True):
+    before = math.nan
+    for n, (t, x) in enumerate(zip(made.times.tolist(), made.pilot_position.tolist(), strict=True)):
         u = float(made.volts[max(0, int(np.searchsorted(made.command_times, t, side="right")) - 1)])
         s, ns = divmod(1_709_390_268_950_000_000 + round(1e9 * t), 10**9)
         row = {"t": t, "s": s, "ns": ns, "d": midnight + timedelta(seconds=t), "u": u, "x": 1e3 * x, "nm": 1e9 * x}
+        row |= {"days": t / 86_400.0, "change": u if u != before else "", "n": n + 50 * (n > 99)}
+        before = u
         lines.append(form.format(**row))
     (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")
     text = draft_map(tmp_path / "a.csv", VALVE, "valve-sim map")
@@ -563,6 +570,7 @@ def test_a_first_map_of_a_table_finds_its_time_and_its_position(kind: str, tmp_p
     (tmp_path / "map.yaml").write_text(text)
     found = read_trace(tmp_path / "a.csv", None, load_map(tmp_path / "map.yaml"))
     np.testing.assert_allclose(found.times, made.times - made.times[0], atol=1e-6)
+    np.testing.assert_allclose(found.drive.times[1:], made.true_command_times[1:] - made.times[0], atol=6e-5)
 
 
 def test_a_table_without_a_voltage_has_no_draft_but_words_on_its_columns(tmp_path: Path, made: Recording) -> None:

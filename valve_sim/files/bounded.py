@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 from pathlib import Path
 from typing import Final
 
@@ -14,6 +15,15 @@ MOST_EXPANDED: Final = 200
 SMALL: Final = 1 << 26
 """A packed file unpacks to so many times its size and so many bytes at most: recordings are packed to a tenth."""
 _PIECE: Final = 1 << 18
+
+
+def _as_latin_1(error: UnicodeError) -> tuple[str, int]:
+    """What stands for bytes that are no UTF-8."""
+    assert isinstance(error, UnicodeDecodeError)
+    return error.object[error.start : error.end].decode("latin-1"), error.end
+
+
+codecs.register_error("as Latin-1", _as_latin_1)
 
 
 def check_file(path: Path, most: int, refusal: type[ValveError]) -> None:
@@ -39,7 +49,7 @@ def check_expanded(path: Path, size: float, refusal: type[ValveError]) -> None:
 
 
 def table_text(path: Path, refusal: type[ValveError]) -> str:
-    """The text of a table: UTF-8, UTF-16 by its mark or its zeros; else Latin-1, in which loggers write µ and °.
+    """The text of a table: UTF-16 by its mark or its zeros, else UTF-8; what is none is Latin-1, as loggers write µ.
 
     Raises:
         OSError: It cannot be read. ValveError: It, or one of its lines, is too long.
@@ -61,7 +71,4 @@ def table_text(path: Path, refusal: type[ValveError]) -> str:
     for first, encoding in ((1, "utf-16-le"), (0, "utf-16-be")):
         if 2 * data[first:400:2].count(0) > len(data[first:400:2]):
             return data.decode(encoding, "replace")
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return data.decode("latin-1")
+    return data.decode("utf-8-sig", "as Latin-1")

@@ -15,9 +15,9 @@ SWITCHED: Final = {
     **dict.fromkeys(("true", "on", "wahr", "ein"), 1.0),
     **dict.fromkeys(("false", "off", "falsch", "aus"), 0.0),
 }
-_MISSING: Final = frozenset(("", "-", "--", "---", "n/a", "na", "null", "none", "invalid", "bad", "no data", "missing"))
+_MISSING: Final = frozenset(("", "n/a", "na", "null", "none", "invalid", "bad", "no data", "missing"))
 _SHEET_ERROR: Final = re.compile(r"#(n/a|nv|num!|div/0!|value!|wert!|ref!|name\?)")
-_NO_NUMBER: Final = re.compile(r"[+-]?(nan|1\.#(qnan|snan|ind)0*)(\(\w*\))?")
+_NO_NUMBER: Final = re.compile(r"-+|[+-]?(nan|1\.#(qnan|snan|ind)0*)(\(\w*\))?")
 _BEYOND: Final = re.compile(r"[+-]?(∞|1\.#inf0*|over([ -]?(load|range|flow))?|ovl|ovf|ol)")
 _FORTRAN: Final = re.compile(r"([+-]?[\d.]+)d([+-]?\d+)", re.IGNORECASE)
 _GROUPED: Final = re.compile(
@@ -30,7 +30,10 @@ _QUANTITY: Final = re.compile(
 )
 """A number with its unit, as MATLAB writes durations ("0.001 sec") and hand-held instruments their readings."""
 _DATE: Final = re.compile(r"(\d{4})([-/.]?)(\d\d?)\2(\d\d?)|(\d\d?)\.(\d\d?)\.(\d{4}|\d\d)")
-_TIME: Final = re.compile(r"(\d\d?)(:?)(\d\d)(?:\2(\d\d(?:[.,]\d+)?))?\s*(?:Z|UTC|GMT|[+-]\d\d:?\d\d)?", re.IGNORECASE)
+_TIME: Final = re.compile(
+    r"(\d\d?)(:?)(\d\d)(?:\2(\d\d(?:[.,]\d+|[:;]\d{3,9})?))?\s*(?:Z|UTC|GMT|[+-]\d\d:?\d\d|([ap])m)?", re.IGNORECASE
+)
+"""Hours, minutes, seconds, of which controllers part milliseconds by a colon or a semicolon, and a half of the day."""
 _MINUTES: Final = re.compile(r"(\d+):(\d\d[.,]\d+)")
 """As a spreadsheet writes the time of day where its hours are not shown."""
 _BETWEEN: Final = re.compile(r"(?<=\d)(?:[T ]\s*|,\s+)(?=\d)")
@@ -110,12 +113,13 @@ def stamp_in(cell: str, form: str = "") -> Stamp | None:
         except ValueError:
             return None
     if timed is not None and (len(parts) == 2 or dated is None):
-        seconds = HOUR * int(timed[1]) + 60.0 * int(timed[3]) + _seconds(timed[4] or "0")
+        hours = int(timed[1]) if timed[5] is None else int(timed[1]) % 12 + 12 * (timed[5] in "pP")
+        seconds = HOUR * hours + 60.0 * int(timed[3]) + _seconds(timed[4] or "0")
     return Stamp(day, seconds)
 
 
 def _seconds(text: str) -> float:
-    return float(text.replace(",", "."))
+    return float(re.sub("[,:;]", ".", text))
 
 
 def kind_of(cell: str) -> str:

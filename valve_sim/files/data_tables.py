@@ -172,13 +172,20 @@ def _open_mat(path: Path) -> DataTable:
 
 
 def _mat_columns(name: str, value: Any) -> dict[str, NDArray[Any]]:
-    """Vectors by their dotted names; a matrix's columns by their numbers: data[1]."""
+    """Vectors by their dotted names; a matrix's columns, and structs in an array, by their numbers: data[1]."""
     if hasattr(value, "_fieldnames"):
         inner: dict[str, NDArray[Any]] = {}
         for field in value._fieldnames:
             inner.update(_mat_columns(f"{name}.{field}", getattr(value, field)))
         return inner
     values = np.asarray(value)
+    if values.ndim == 1 and values.dtype == object:  # Simulink's signals: an array of structs
+        columns = [
+            _mat_columns(f"{name}[{number + 1}]", own)
+            for number, own in enumerate(values)
+            if hasattr(own, "_fieldnames")
+        ]
+        return {inner: found for own in columns for inner, found in own.items()}
     if values.ndim == 1 and values.dtype.kind in "biuf":
         return {name: values}
     if values.ndim == 2 and values.dtype.kind in "biuf":

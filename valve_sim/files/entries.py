@@ -78,7 +78,8 @@ class Entries:
         """A text; YAML may have read it as a whole number."""
         text = str(found) if isinstance(found, int) and not isinstance(found, bool) else found
         if not isinstance(text, str):
-            raise self.fail(key, f"found {short(found)}, expected a text")
+            mend = " (YAML reads on, off, yes and no so: write it in quotes)" if isinstance(found, bool) else ""
+            raise self.fail(key, f"found {short(found)}, expected a text{mend}")
         return text.strip()
 
     def unit(self, key: str, found: object) -> Unit:

@@ -19,6 +19,9 @@ Array = NDArray[np.float64]
 
 MOST_REPEATED: Final = 20
 """Rows, of which one may have the time of the row before: logged twice, that is. More do not know their time."""
+_WHOLE: Final = re.compile(r"[+-]?\d+")
+_THOUSANDS: Final = re.compile(r"[+-]?[1-9]\d{0,2}((,\d{3})+|(\.\d{3})+)")
+"""A number without a mark, and one whose mark may part thousands."""
 _EPOCH_DAY: Final = 719_163
 _EXCEL_EPOCH: Final = 25_569
 """The number of 1970-01-01, in Python and in a spreadsheet."""
@@ -79,7 +82,28 @@ class DataTable:
         Raises:
             TableError: there is no such column, or one of its cells is not a number.
         """
-        return self._numbers(self._place(name))
+        place = self._place(name)
+        values = self._numbers(place)
+        self._refuse_thousands(place, values)
+        return values
+
+    def _refuse_thousands(self, place: int, values: Array) -> None:
+        """Refuse a column that may be of thousands: 998, 999, "1,000", "1,001", where all that have a mark could be."""
+        sizes = np.abs(values[np.isfinite(values)])
+        is_whole = sizes == np.round(sizes)
+        is_plain = is_whole & (sizes >= 100.0) & (sizes < 1000.0)
+        if is_whole.all() or not is_plain.any() or sizes[~is_whole].min() < 1.0:
+            return
+        cells = [cell for cell in self._cells(place) if cell and not _WHOLE.fullmatch(cell)]
+        if cells and all(_THOUSANDS.fullmatch(cell) or np.isnan(number_in(cell) or 0.0) for cell in cells):
+            raise TableError(
+                f"{self.path}: column {self.names[place]}: {cells[0]} beside numbers without a mark may be a number or "
+                "thousands; export it without marks for thousands"
+            )
+
+    def holds_dates(self, name: str) -> bool:
+        """Whether a column begins with a date or a time of day."""
+        return self._are_stamps([self._place(name)], TimeAxis())
 
     def texts(self, name: str) -> list[str]:
         """The cells of a column as they are written, empty where there is none."""

@@ -49,6 +49,10 @@ _INTERVAL: Final = re.compile(
 )
 _RATE: Final = re.compile(r"(sampl\w*[_ ]?(rate|frequency)|abtastrate)( ?[\[(]hz[\])])?", re.IGNORECASE)
 """How a head calls the interval between rows, s, and their rate, Hz."""
+_NUMBERS: Final = re.compile(
+    r"#|n|nr|no|index|idx|id|rows?|records?|samples?|points?|count(er)?|number|nummer|zeile", re.IGNORECASE
+)
+"""How a column is called that numbers the rows."""
 _UNIT_WORDS: Final = frozenset(
     {unit for units in UNITS.values() for unit in units}
     | {"volt", "volts", "second", "seconds", "sec", "ampere", "amp", "amps", "ohm", "Ω", "N", "Hz", "%", "-"}
@@ -107,7 +111,8 @@ class TextTable(DataTable):
     def _find_rows(self) -> list[int]:
         """The numbers of the lines that are rows, from 0 on: not of comments, nor of a head that stands there again."""
         first, blank = self._layout.first, f" \t{self._layout.delimiter or ''}"
-        head = {line.strip() for line in self._lines[:first]}
+        head = {cells_of(line, self._layout.delimiter)[0] for line in self._lines[:first] if line.strip()}
+        head = {word for word in head if kind_of(word) == "word"} if self._begins_with_number() else set()
         found: list[int] = []
         others: list[int] = []
         for number in range(first, self._stop):
@@ -115,7 +120,7 @@ class TextTable(DataTable):
             if line[:1] not in _DIGITS:
                 if not line.strip(blank):
                     continue
-                if line.strip().startswith(_COMMENTS) or line.strip() in head:
+                if line.strip().startswith(_COMMENTS) or cells_of(line, self._layout.delimiter)[0] in head:
                     others.append(number)
                     continue
             found.append(number)
@@ -124,13 +129,16 @@ class TextTable(DataTable):
             self.findings += (f"{len(others)} lines among the numbers left out, such as {words}",)
         return found
 
+    def _begins_with_number(self) -> bool:
+        return kind_of(cells_of(self._lines[self._layout.first], self._layout.delimiter)[0]) != "word"
+
     def _end(self) -> int:
         """Where the rows end: lines without any number, or a row that was cut, are left out behind them."""
         stop = len(self._lines)
         while stop > self._layout.first and not self._lines[stop - 1].strip():
             stop -= 1
         whole, words = stop, ""
-        begins_with_number = kind_of(cells_of(self._lines[self._layout.first], self._layout.delimiter)[0]) != "word"
+        begins_with_number = self._begins_with_number()
         while stop > self._layout.first + 1 and whole - stop < _MOST_TRAILING:
             cells, before = (cells_of(self._lines[stop - own], self._layout.delimiter) for own in (1, 2))
             is_cut = stop == whole and len(cells) < len(before)
@@ -175,8 +183,9 @@ def _stated_interval(head: Rows) -> tuple[float, str]:
                 if not pattern.fullmatch(cell.strip(":=#%/! ")):
                     continue
                 below = head[row + 1][place : place + 1] if row + 1 < len(head) and len(cells) == len(whole) else []
-                for text in (*cells[place + 1 : place + 2], *below):
-                    value, unit = quantity_in(text) or (number_in(text) or 0.0, "")
+                beside = (*cells[place + 1 : place + 3], "", "")
+                for text, after in (beside[:2], *((cell, "") for cell in below)):
+                    value, unit = quantity_in(text) or (number_in(text) or 0.0, after)
                     factor = {"khz": 1e3}.get(
                         unit.lower(), UNITS["time"][unit].factor if unit in UNITS["time"] else 1.0
                     )
@@ -187,8 +196,10 @@ def _stated_interval(head: Rows) -> tuple[float, str]:
 
 def cells_of(line: str, delimiter: str | None) -> list[str]:
     """The cells of a line; quotes keep what is in them together."""
-    if delimiter is None or '"' not in line:
+    if '"' not in line:
         return [cell.strip() for cell in line.split(delimiter)]
+    if delimiter is None:
+        line, delimiter = " ".join(line.split()), " "
     try:
         return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])]
     except csv.Error:
@@ -216,11 +227,11 @@ def _layout(path: Path, lines: Sequence[str]) -> Layout:
         for delimiter, rows in parted.items():
             start = _first_row(head, rows, with_words=with_words)
             if start is not None:
-                return _named(head, delimiter, rows, start)
+                return _named(path, head, delimiter, rows, start)
     for delimiter, rows in parted.items():  # few rows, one of which is broken
         for start, row in enumerate(rows):
             if len(row) > 1 and {kind_of(cell) for cell in row} == {"number"}:
-                return _named(head, delimiter, rows, start)
+                return _named(path, head, delimiter, rows, start)
     if not any(line.strip() for line in lines):
         raise TableError(f"{path}: is empty; export the measurement again")
     raise TableError(
@@ -256,13 +267,13 @@ def _first_row(lines: Sequence[str], rows: Rows, *, with_words: bool) -> int | N
     return None
 
 
-def _named(lines: Sequence[str], delimiter: str | None, rows: Rows, start: int) -> Layout:
+def _named(path: Path, lines: Sequence[str], delimiter: str | None, rows: Rows, start: int) -> Layout:
     """The layout, with names and units from the lines before the numbers."""
     below = [row for row in rows[start : start + _WHOLE_WITH_WORDS] if len(row) == len(rows[start])]
     data = [row for row in below if any(kind_of(cell) in ("number", "date") for cell in row)]
     start, first = _begin(lines, rows, start, data)
     width = len(data[0])
-    head = _head(lines[:first], delimiter, width)
+    head = _head(lines[:first], delimiter, width, numbered=[row[0] for row in data[:3]] == ["1", "2", "3"])
     filled = [place for place in range(width) if any(place < len(row) and row[place] for row in (*data, *head))]
     if filled and filled[-1] < width - 1:
         width -= 1  # each line ends with a separator
@@ -282,6 +293,15 @@ def _named(lines: Sequence[str], delimiter: str | None, rows: Rows, start: int) 
         skipped = f"line {first + 1} before the numbers left out: {lines[first][:40]!r}" if first < start else ""
         return Layout(delimiter, start, tuple(str(number + 1) for number in range(width)), {}, {}, skipped)
     chosen = max(scores, key=lambda score: score[0])[1]
+    if (
+        delimiter == ","
+        and 2 * sum(map(bool, chosen)) == width
+        and all(cell.lstrip("+-").isdigit() for row in data for cell in row)
+    ):
+        raise TableError(
+            f"{path}: line {start + 1} has {width} whole numbers for {width // 2} names: commas part its cells and "
+            "are decimal points, too; export it with semicolons, or with points"
+        )
     names = _unique(chosen[:width])
     beside = {name: own[1] for name, cell in zip(names, data[0], strict=False) if (own := quantity_in(cell))}
     found = beside if units is None else {name: _bare(cell) for name, cell in zip(names, units, strict=False)}
@@ -332,16 +352,25 @@ def _goes_on(row: Sequence[str], following: tuple[Sequence[str], Sequence[str]],
     return False
 
 
-def _head(lines: Sequence[str], delimiter: str | None, width: int) -> list[list[str]]:
-    """The cells of the lines before the data that may name them, the nearest first."""
+def _head(lines: Sequence[str], delimiter: str | None, width: int, *, numbered: bool) -> list[list[str]]:
+    """The cells of the lines before the data that may name them, the nearest first.
+
+    A line may name one column more than the rows have cells, as LabVIEW its comments, or one less where rows are
+    `numbered`, as R does.
+    """
     found: list[list[str]] = []
     for line in reversed(lines[-_HEADS:]):
         text = line.rstrip("\r\n ")
         for mark in _COMMENTS:
-            text = text.removeprefix(mark)
+            if not text.startswith(f"{mark}{delimiter}"):  # #,CH1,CH2: the name of a column
+                text = text.removeprefix(mark)
         cells = cells_of(text if delimiter == "\t" else text.strip(), delimiter)
         while len(cells) > width and not cells[-1]:
             cells.pop()
+        if len(cells) == width + 1 and kind_of(cells[-1]) == "word":
+            cells.pop()
+        if numbered and len(cells) == width - 1 and not _NUMBERS.fullmatch(cells[0]):
+            cells.insert(0, "")
         if 2 <= len(cells) <= width and any(cells):
             found.append((cells + [""] * width)[:width])
     return found

@@ -88,10 +88,10 @@ def draft_map(path: Path, parameters: ValveParameters, command: str) -> str:
     lines = [f"# Written by: {command}", "# A first guess: read each line. CHECK marks what only you can know."]
     if path.suffix.lower() in TABLE_SUFFIXES and path.is_file():
         table = open_table(path)
-        time, series = _time_line(table)
+        time, series, troubles = _time_line(table)
         lines += time
     else:
-        series = bag_series(path)
+        series, troubles = bag_series(path), {}
     moving = [entry for entry in series if entry.span > 0.0 or _is_one_command(entry)]
     if not moving:
         names = ", ".join(entry.name for entry in series[:12]) or "no number at all"
@@ -106,23 +106,23 @@ def draft_map(path: Path, parameters: ValveParameters, command: str) -> str:
         lines += [indent + line for guess in guesses for line in guess.lines]
         lines += [f"{indent}# CHECK: {words}" for words in _missing(guesses)]
         used |= {guess.series.name for guess in guesses}
-    left = [entry for entry in series if entry.name not in used]
-    lines += [f"# not used: {entry.name}, {_range(entry)}" for entry in left[:MOST_LISTED]]
+    left = {**{entry.name: _range(entry) for entry in series if entry.name not in used}, **troubles}
+    lines += [f"# not used: {name}, {words}" for name, words in itertools.islice(left.items(), MOST_LISTED)]
     if len(left) > MOST_LISTED:
         lines.append(f"# and {len(left) - MOST_LISTED} more")
     text = "\n".join(lines) + "\n"
-    _check(path, text, series)
+    _check(path, text, {**{entry.name: _range(entry) for entry in series}, **troubles})
     return text
 
 
-def _check(path: Path, text: str, series: Sequence[Series]) -> None:
+def _check(path: Path, text: str, there: Mapping[str, str]) -> None:
     """Refuse a draft that no command could read: a voltage or what the valve does is missing, or is not that."""
     try:
         drafted = map_from(yaml.safe_load(text), "the draft")
         for valve in drafted.valves:
             read_trace(path, valve, drafted)
     except ValveError as error:
-        listed = "; ".join(f"{entry.name}: {_range(entry)}" for entry in series[:MOST_LISTED])
+        listed = "; ".join(f"{name}: {words}" for name, words in itertools.islice(there.items(), MOST_LISTED))
         why = str(error).removeprefix("the draft: ").removeprefix(f"{path}: ").partition(";")[0]
         raise TraceError(
             f"{path}: no draft can be read: {why}; write a map by hand, of what there is: {listed}"
@@ -333,14 +333,16 @@ def _other_guess(quantity: str, entry: Series, *, is_named: bool, parameters: Va
     return Guess(quantity, entry, {"unit": unit}, reasons)
 
 
-def _time_line(table: DataTable) -> tuple[list[str], list[Series]]:
-    """The lines about time, and what the other columns hold."""
+def _time_line(table: DataTable) -> tuple[list[str], list[Series], dict[str, str]]:
+    """The lines about time, what the other columns hold, and why those are left out that cannot be read, by name."""
     columns, troubles = {}, {}
     for name in table.names:
         try:
             columns[name] = table.column(name)
         except TableError as error:  # words
-            troubles[name] = str(error).removeprefix(f"{table.path}: ").partition(";")[0]
+            troubles[name] = (
+                str(error).removeprefix(f"{table.path}: ").partition(";")[0].replace(f"column {name}: ", "")
+            )
     parts = [pair for pair in itertools.pairwise(table.names) if _is_part(columns, *pair)]
     with np.errstate(invalid="ignore"):  # of readings beyond the range
         steps_of = {name: np.diff(_begun(values)) for name, values in columns.items() if len(values) > 1}
@@ -357,7 +359,7 @@ def _time_line(table: DataTable) -> tuple[list[str], list[Series]]:
         _refuse_one_value_a_row(table, troubles)
         coarse = next((name for name in dating if PLAIN.fullmatch(name)), None)
         why = "no column ascends" if coarse is None else f"column {coarse} repeats: it has too few digits"
-        why = next((words for name, words in troubles.items() if PLAIN.fullmatch(name)), why)
+        why = next((f"column {name}: {words}" for name, words in troubles.items() if PLAIN.fullmatch(name)), why)
         raise TraceError(
             f"{table.path}: {why}, and nothing else says when its rows were taken; write a map by hand with "
             "time: {rate: ...} (rows a second), or export the times"
@@ -374,7 +376,11 @@ def _time_line(table: DataTable) -> tuple[list[str], list[Series]]:
             and _is_another_clock(own, _begun(taken), is_time=name.startswith(axis.columns[0]))
         ]
     )
-    others = {name: own for name, own in columns.items() if name not in (*axis.columns, *clocks)}
+    others = {
+        name: own
+        for name, own in columns.items()
+        if name not in (*axis.columns, *clocks) and not table.holds_dates(name)
+    }
     series = table_series(table, others, _clock_of(table.names, axis, clocks))
     steps = np.diff(table.row_times(axis, may_end=bool(clocks)).times)
     rate = 1.0 / float(np.median(steps[steps > 0.0]))
@@ -382,7 +388,7 @@ def _time_line(table: DataTable) -> tuple[list[str], list[Series]]:
     lines += [
         f"# CHECK: {name} is another column of times, and is taken for that of the columns after it" for name in clocks
     ]
-    return lines, series
+    return lines, series, {name: words for name, words in troubles.items() if name not in axis.columns}
 
 
 def _begun(values: Array) -> Array:
@@ -462,7 +468,7 @@ def _stamp(table: DataTable, name: str, values: Array) -> tuple[dict[str, object
         unit = "s"
     if unit not in units:
         is_calendar = EXCEL_DAYS[0] < values[0] < EXCEL_DAYS[1] and step < 1e-4
-        known = ("d",) if is_calendar else ("s", "ms", "us", "ns")
+        known = ("d",) if is_calendar else ("s", "ms", "us", "ns", "d")
         unit = next((own for own in known if 2e-7 < units[own].factor * step < 2e-2), "s")
         reason = "CHECK unit"
     return {"column": name, "unit": unit}, reason
@@ -481,8 +487,10 @@ def _dated(table: DataTable, name: str) -> tuple[dict[str, object], str] | None:
 
 def _dates(name: str, steps: Array) -> bool:
     """Whether a column may be of times: it never falls, and is no counter of rows unless its name says time."""
-    never_falls = bool((steps >= 0.0).all() and steps.any())
-    return never_falls and (not (steps == 1.0).all() or PLAIN.fullmatch(name) is not None)
+    if not ((steps >= 0.0).all() and steps.any()):
+        return False
+    counts = bool((steps == np.round(steps)).all()) and float(np.median(steps)) == 1.0
+    return not counts or PLAIN.fullmatch(name) is not None
 
 
 def _yaml(entry: Mapping[str, object]) -> str:

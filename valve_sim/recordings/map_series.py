@@ -13,6 +13,7 @@ from valve_sim.files.recording_map import Source
 from valve_sim.recordings.motion import medians_of_three
 from valve_sim.recordings.storage import read_recording
 from valve_sim.recordings.topics import number_paths
+from valve_sim.recordings.voltage_steps import held_between
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -105,7 +106,8 @@ class Series:
 
 def table_series(table: DataTable, columns: Mapping[str, Array], clocks: Mapping[str, str]) -> list[Series]:
     """Columns of a table; `clocks` has the columns of times of those that have their own."""
-    found = [(name, values[np.isfinite(values)]) for name, values in columns.items()]
+    held = {name: held_between(values) for name, values in columns.items()}
+    found = [(name, values[np.isfinite(values)]) for name, values in held.items()]
     return [
         Series(
             {"column": name, **({"time": clocks[name]} if name in clocks else {})}, values, table.units.get(name, "")

@@ -12,7 +12,7 @@ from valve_sim.model.drives import Drive
 from valve_sim.recordings.clocks import SECOND
 from valve_sim.recordings.open_recording import Readings
 from valve_sim.recordings.trace import DriveErrors, TraceError
-from valve_sim.recordings.voltage_steps import held_steps
+from valve_sim.recordings.voltage_steps import held_between, held_steps
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -115,6 +115,7 @@ class TableColumns:
     def commands(self, source: Source, logs: Sequence[str]) -> tuple[Drive, DriveErrors]:
         """See `OpenRecording`: each holds until a row has another."""
         times, volts, _ = self.readings("command", source)
+        volts = held_between(volts)
         use = np.isfinite(volts)
         if not use.any():
             raise TraceError(f"{self.path}: {source.name}: holds no finite voltage; name another column")

@@ -165,6 +165,19 @@ def _are_of_a_diode(levels: Array, is_off: NDArray[np.bool_]) -> NDArray[np.bool
     return found & ~is_off
 
 
+def held_between(values: Array) -> Array:
+    """The values of a column, (n,), of a log of changes with what is held where its cells are empty (NaN).
+
+    It is such a log where most cells are empty and no value is that of the one before it.
+    """
+    there = np.isfinite(values)
+    changes = values[there]
+    if not 0 < len(changes) < len(values) / 2 or not (np.diff(changes) != 0.0).all():
+        return values
+    first = int(np.argmax(there))
+    return np.concatenate([values[:first], changes[np.cumsum(there[first:]) - 1]])
+
+
 def held_steps(times: Array, volts: Array) -> Steps:
     """Return the commands of rows that hold the voltage in force: each lies between its first row and the one before.
 
