@@ -1,4 +1,4 @@
-"""When a sampled motion first gets to a level: where a parabola through the samples before crosses it."""
+"""When a sampled motion first gets to a level: where a cubic through the samples before it crosses it."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ CERTAIN: Final = 4.0
 REST: Final = 1e-6
 """m; a body at rest may be this far from where it usually rests."""
 LAST: Final = 0.5
-"""Share of the way, at its end, that the parabola goes through."""
+"""Share of the way, at its end, that the cubic goes through."""
 FEWEST: Final = 2
-"""Samples there: through fewer no parabola goes, and the crossing may be anywhere between two samples."""
-USUAL: Final = np.array([1.2, 0.25])
-USUAL_SIGMA: Final = np.array([0.5, 0.5])
-"""Speed and bend of that parabola in units of the last half of the way and of what that took, and how they vary."""
+"""Samples there: fewer show no motion, and the crossing may be anywhere between two samples."""
+USUAL: Final = np.array([1.2, 0.25, 0.0])
+USUAL_SIGMA: Final = np.array([0.5, 0.5, 0.25])
+"""Speed, bend and cubic term there, in units of the last half of the way and of what that took, and how they vary."""
 FINEST: Final = 1e-9
 """m; noise that is assumed where there is none."""
 CURVED: Final = 0.25
-"""Of the last half of the way: what a cubic term of the motion adds at its beginning."""
+"""Of the last half of the way: how far the motion is off a cubic at its beginning."""
 
 
 class PositionNoise(NamedTuple):
@@ -85,15 +85,15 @@ def contact_time(times: Array, way: Array, length: float, noise: PositionNoise) 
     half, scale = LAST * length, high - float(times[first])
     used = first + np.flatnonzero(~is_off[first:near])
     at, values = (times[used] - high) / scale, way[used]
-    # A motion that is no parabola is off it by the cube of how far it is from the level.
-    spread = np.hypot(max(noise.together, FINEST), CURVED * half * np.abs(at) ** 3)
-    design = np.vander(at, 3, increasing=True) / spread[:, None]
+    # A motion that is no cubic is off it by a power of how far it is from the level.
+    spread = np.hypot(max(noise.together, FINEST), CURVED * half * at**4)
+    design = np.vander(at, 4, increasing=True) / spread[:, None]
     covariance = np.linalg.inv(design.T @ design + np.diag(np.square([0.0, *(1.0 / USUAL_SIGMA / half)])))
-    level, speed, bend = covariance @ (design.T @ (values / spread) + [0.0, *(USUAL / np.square(USUAL_SIGMA) / half)])
-    ahead = (length - level) / max(speed, 0.2 * half)
-    ahead = (length - level) / max(speed + bend * ahead, 0.2 * half)
-    slope = max(speed + 2.0 * bend * ahead, 0.2 * half)
-    powers = ahead ** np.arange(3)
+    level, *rest = covariance @ (design.T @ (values / spread) + [0.0, *(USUAL / np.square(USUAL_SIGMA) / half)])
+    ahead = (length - level) / max(rest[0], 0.2 * half)
+    ahead = (length - level) / max(rest[0] + rest[1] * ahead, 0.2 * half)
+    powers = ahead ** np.arange(4)
+    slope = max(float(np.arange(1, 4) * rest @ powers[:3]), 0.2 * half)
     error = math.hypot(math.sqrt(float(powers @ covariance @ powers)), noise.level) / slope
     return Contact(float(np.clip(high + ahead * scale, low, late)), float(min(error * scale, late - low)))
 
