@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from valve_sim.files.data_tables import is_table
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.files.plant_files import PlantFile
 from valve_sim.files.recording_map import MapError, RecordingMap, is_of_valve, map_from
@@ -45,7 +46,7 @@ from valve_sim.recordings import (
     refuse_doubtful_units,
 )
 from valve_sim.recordings.columns import Columns
-from valve_sim.recordings.reading import is_own_table, is_table
+from valve_sim.recordings.reading import is_own_table
 
 if TYPE_CHECKING:
     from valve_sim.identification.reporting.figures import Picture

@@ -25,6 +25,11 @@ SHEET_SUFFIXES: Final = (".xlsx", ".xlsm")
 TABLE_SUFFIXES: Final = (*TEXT_SUFFIXES, *PARQUET_SUFFIXES, ".mat", *SHEET_SUFFIXES, ".tdms")
 
 
+def is_table(path: Path) -> bool:
+    """Whether a path is that of a table, by its suffix."""
+    return path.suffix.lower() in TABLE_SUFFIXES and path.is_file()
+
+
 def open_table(path: Path) -> DataTable:
     """Open a table by its suffix, one of `TABLE_SUFFIXES`.
 

@@ -225,7 +225,7 @@ def clock_offset(delays: Delays, topic: str) -> tuple[int, tuple[str, ...]]:
     return 0, ()
 
 
-def find_gaps(times: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Return after which samples an interval is more than `GAP_FACTOR` times the usual one."""
+def find_gaps(times: NDArray[np.float64], factor: float = GAP_FACTOR) -> NDArray[np.intp]:
+    """Return after which samples an interval is more than so many times the usual one."""
     intervals = np.diff(times)
-    return np.flatnonzero(intervals > GAP_FACTOR * np.median(intervals)) if len(intervals) else np.empty(0, np.intp)
+    return np.flatnonzero(intervals > factor * np.median(intervals)) if len(intervals) else np.empty(0, np.intp)

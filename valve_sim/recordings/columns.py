@@ -35,7 +35,9 @@ from valve_sim.model.core.own.units import Unit, parse_unit
 from valve_sim.model.core.tracer import Trace
 from valve_sim.model.core.tracer import evaluate as numbers_of
 from valve_sim.recordings.bag_columns import BagColumns
+from valve_sim.recordings.clocks import find_gaps
 from valve_sim.recordings.layout import check_topic
+from valve_sim.recordings.motion import sample_noise
 from valve_sim.recordings.open_recording import OpenRecording
 from valve_sim.recordings.resting_noise import step_of
 from valve_sim.recordings.storage import read_recording
@@ -175,9 +177,8 @@ class _Reading:
                 raise self._map.fail("time", "is missing; add time: {column: t, unit: s} or time: {rate: 1000}")
             self._keys: tuple[str, ...] = ("column", "time")
             self._entries = self._places(found, "")
-            has_clocks = any(source.time for source, _ in self._entries.values())
-            axis = time_axis(self._map, found["time"])
-            self._recorded: OpenRecording = TableColumns(table, axis, where, has_clocks=has_clocks)
+            axis, sources = time_axis(self._map, found["time"]), [source for source, _ in self._entries.values()]
+            self._recorded: OpenRecording = TableColumns(table, axis, where, sources)
         else:
             if found is None:
                 raise TraceError(
@@ -371,10 +372,8 @@ def at_rest(times: Array, readings: Array) -> Mask:
 
     steady = float(np.median(np.diff(times)))
     span = max(11, round(REST / steady))
-    bends = np.diff(readings, 2)
-    noise = 1.4826 * float(np.median(np.abs(bends - np.median(bends)))) / math.sqrt(6.0) if len(bends) else 0.0
     step = step_of(readings)
-    allowed = max(STILL * noise, 1.5 * step if step < 0.01 * np.ptp(readings) else 0.0)
+    allowed = max(STILL * sample_noise(readings), 1.5 * step if step < 0.01 * np.ptp(readings) else 0.0)
     moved = ndimage.maximum_filter1d(readings, span) - ndimage.minimum_filter1d(readings, span)
     still = moved <= allowed
     return np.asarray(ndimage.binary_dilation(still, iterations=span // 2) if still.any() else still)
@@ -414,8 +413,7 @@ def _low_passed(values: Array, times: Array, low_pass: float, order: int = 0) ->
 
 def _gaps(times: Array) -> list[int]:
     """Where samples start again after more than `LONGEST_STEP` usual steps without one."""
-    steps = np.diff(times)
-    return (1 + np.flatnonzero(steps > LONGEST_STEP * np.median(steps))).tolist()
+    return [1 + place for place in find_gaps(times, LONGEST_STEP).tolist()]
 
 
 def _near_gaps(times: Array, low_pass: float) -> Mask:

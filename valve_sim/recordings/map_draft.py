@@ -10,7 +10,7 @@ import numpy as np
 import yaml
 
 from valve_sim.files.channels import CHANNELS, SIGNALS, UNITS
-from valve_sim.files.data_tables import TABLE_SUFFIXES, open_table
+from valve_sim.files.data_tables import is_table, open_table
 from valve_sim.files.entries import Entries
 from valve_sim.files.recording_map import MapError, TimeAxis, map_from, time_axis
 from valve_sim.files.tables import EXCEL_DAYS, MOST_REPEATED, PARTS, DataTable, TableError
@@ -86,7 +86,7 @@ def draft_map(path: Path, parameters: ValveParameters, command: str) -> str:
         ValveError: The recording cannot be read, or nothing in it moves.
     """
     lines = [f"# Written by: {command}", "# A first guess: read each line. CHECK marks what only you can know."]
-    if path.suffix.lower() in TABLE_SUFFIXES and path.is_file():
+    if is_table(path):
         table = open_table(path)
         time, series, troubles = _time_line(table)
         lines += time

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from valve_sim.files.channels import CHANNELS, COIL_STATE, MAIN, SIGNALS, Signal
-from valve_sim.files.data_tables import TABLE_SUFFIXES, open_table
+from valve_sim.files.data_tables import is_table, open_table
 from valve_sim.files.recording_map import DeclaredSensor
 from valve_sim.model.drives import Drive
 from valve_sim.recordings.bag_columns import BagColumns
@@ -65,11 +65,6 @@ def list_valves(path: str | PathLike[str], recording_map: RecordingMap | None = 
     return valves_among(read_recording(path, lambda _: {}).types)
 
 
-def is_table(path: Path) -> bool:
-    """Whether a path is that of a table, by its suffix."""
-    return path.suffix.lower() in TABLE_SUFFIXES and path.is_file()
-
-
 def is_own_table(path: Path) -> bool:
     """Whether a path is that of a table with the columns of `valve-sim simulate`.
 
@@ -102,8 +97,7 @@ def _opened(path: Path, valve: str | None, recording_map: RecordingMap | None) -
     if is_table(path):
         table = open_table(path)
         plan, axis = table_plan(path, table.names, valve, recording_map)
-        has_clocks = any(source.time for source in plan.sources.values())
-        return TableColumns(table, axis, plan.map_path or str(path), has_clocks=has_clocks), plan
+        return TableColumns(table, axis, plan.map_path or str(path), plan.sources.values()), plan
     plans: list[Plan] = []
 
     def select(types: Mapping[str, str]) -> Fields:

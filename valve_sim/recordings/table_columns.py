@@ -30,14 +30,14 @@ class TableColumns:
 
     Args:
         table, axis: the file, and which of its columns say when its rows were taken.
-        where: the map that names its columns, for messages. has_clocks: whether some have a column of times each.
+        where: the map that names its columns, for messages. sources: the columns, which may have times of their own.
     """
 
     is_table = True
 
-    def __init__(self, table: DataTable, axis: TimeAxis, where: str, *, has_clocks: bool = False) -> None:
+    def __init__(self, table: DataTable, axis: TimeAxis, where: str, sources: Iterable[Source]) -> None:
         self.path, self.findings, self._table, self._where = table.path, list(table.findings), table, where
-        self._has_clocks, self._times_of = has_clocks, dict[str, RowTimes]()
+        self._has_clocks, self._times_of = any(source.time for source in sources), dict[str, RowTimes]()
         self.clock = "time column" if axis.columns else "rate"
         self.timed_by = f"the rate of {axis.rate:.6g} Hz in {where}"
         if axis.columns:
