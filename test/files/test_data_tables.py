@@ -196,6 +196,13 @@ def test_a_broken_row_is_named_and_none_is_lost(place: int, line: str, tmp_path:
         table.column("t" if "oops" in line else "lift")
 
 
+def test_what_stands_before_a_row_with_too_many_cells_is_said_to_be_left_out(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("t,lift\n" + rows("{t},{x}").replace("0.001000,", "0.001,0,", 1))
+    table = open_table(tmp_path / "a.csv")
+    assert table.names == ("t", "lift")
+    assert table.findings == ("line 2 before the numbers left out: '0.000000,0.000000'",)
+
+
 @pytest.mark.parametrize(
     ("end", "words"),
     [

@@ -65,7 +65,7 @@ class Layout(NamedTuple):
     Attributes:
         delimiter: None: blanks. first: line of the first numbers. names: of the columns. units: by name, as far as
             the file says them. others: what other lines of the head call a column, and its place.
-        skipped: what to say of a line before the data that is half of numbers.
+        skipped: what to say of lines before the data that are half of numbers, the first of them.
     """
 
     delimiter: str | None
@@ -290,7 +290,7 @@ def _named(path: Path, lines: Sequence[str], delimiter: str | None, rows: Rows, 
     ]
     if not scores:
         # Without names nobody knows whether rows that are half of numbers are of the data.
-        skipped = f"line {first + 1} before the numbers left out: {lines[first][:40]!r}" if first < start else ""
+        skipped = _skipped(lines, first, start)
         return Layout(delimiter, start, tuple(str(number + 1) for number in range(width)), {}, {}, skipped)
     chosen = max(scores, key=lambda score: score[0])[1]
     if (
@@ -316,7 +316,22 @@ def _named(path: Path, lines: Sequence[str], delimiter: str | None, rows: Rows, 
         for place, cell in enumerate(row[:width])
         if words[cell] == 1 == row.count(cell) and kind_of(cell) == "word"
     }
-    return Layout(delimiter, first, tuple(names), {name: unit for name, unit in found.items() if unit}, others)
+    begin = first
+    while begin and _is_of_numbers(rows[begin - 1]) and rows[begin - 1][:width] != chosen[:width]:
+        begin -= 1
+    stated = {name: unit for name, unit in found.items() if unit}
+    return Layout(delimiter, first, tuple(names), stated, others, _skipped(lines, begin, first))
+
+
+def _skipped(lines: Sequence[str], begin: int, stop: int) -> str:
+    """What is said of lines before the data that may be of it."""
+    return f"line {begin + 1} before the numbers left out: {lines[begin][:40]!r}" if begin < stop else ""
+
+
+def _is_of_numbers(cells: Sequence[str]) -> bool:
+    """Whether a line begins with a number, and half of its cells are some."""
+    are_numbers = [kind_of(cell) in ("number", "date") for cell in cells]
+    return len(cells) > 1 and are_numbers[0] and 2 * sum(are_numbers) >= len(cells)
 
 
 def _begin(lines: Sequence[str], rows: Rows, start: int, data: Rows) -> tuple[int, int]:
