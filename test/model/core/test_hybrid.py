@@ -79,6 +79,14 @@ parameters: {m1: {value: 1, unit: kg}, m2: {value: 0.5, unit: kg}, f1: {value: 1
 derivatives: {x: v, v: (force - f1*sign(v) - f2*sign(v - w))/m1, y: w, w: f2*sign(v - w)/m2}
 outputs: {position: {value: x, unit: m}, other: {value: y, unit: m}, rub: {value: f2*sign(v - w), unit: N}}
 """
+FLOOR = """
+plant: equations
+states: {x: {unit: m}, v: {unit: m/s}, y: {unit: m}, w: {unit: m/s}}
+inputs: {force: {unit: N, between: straight}}
+parameters: {m: {value: 1, unit: kg}, f1: {value: 1, unit: N}, f2: {value: 2, unit: N}, rub: {value: 3, unit: N}}
+derivatives: {x: v, v: (force - f1*sign(v) - rub*sign(v - w))/m, y: w, w: (rub*sign(v - w) - f2*sign(w))/m}
+outputs: {position: {value: x, unit: m}, other: {value: y, unit: m}}
+"""
 PENDULUM = """
 plant: equations
 states: {q: {unit: rad, start: 1}, w: {unit: rad/s}}
@@ -267,6 +275,53 @@ def test_two_bodies_that_rub_on_each_other_and_on_the_floor(push: float) -> None
     rubs[expected[:, 1] - expected[:, 3] > 1e-9] = 2.0
     moves = (expected[:, 1] > 0.0) & (np.abs(times - 1.0) > 1e-9)
     assert np.max(np.abs(shown.outputs - rubs[:, None])[moves, 2]) < 1e-9
+
+
+@pytest.mark.parametrize("between", [3.0, 1.5])
+def test_of_three_frictions_at_once_two_hold_what_the_third_would(between: float) -> None:
+    """Two bodies rub on each other and both on the floor; a force pulls one of them for 1 s, 10 N more each second.
+
+    At rest two frictions decide, and which two depends on the forces. With 3 N between them both start as one, and come
+    apart; with 1.5 N the second body stays where it is, for the floor holds it with 2 N.
+    """
+    pull = Inputs(np.array([0.0, 1.0, 1.0 + 1e-12]), np.array([[0.0], [10.0], [0.0]]), np.array([False]))
+    shown = run(FLOOR.replace("value: 3", f"value: {between:g}"), pull, np.array([0.2, 0.5, 1.0, 3.0, 9.0]))
+    if between == 3.0:
+        start, apart = 5.0 * 0.2**3 / 6.0, 0.1 * 0.5 + 0.125
+        first, second = start + apart + 5.0 / 24.0, start + apart
+        met = 1.85 * 0.25 - 2.0 * 0.25**2, 0.6 * 0.25 + 0.5 * 0.25**2
+        both = 0.85**2 / 3.0
+        ends = first + met[0] + both, second + met[1] + both
+        expected = [(0.0, 0.0), (start, start), (first, second), ends, ends]
+    else:
+        speed = 5.0 * 0.75**2
+        first = 10.0 / 6.0 * 0.75**3
+        end = first + speed**2 / 5.0
+        expected = [(0.0, 0.0), (10.0 / 6.0 * 0.25**3, 0.0), (first, 0.0), (end, 0.0), (end, 0.0)]
+    assert shown.outputs[:, :2] == pytest.approx(np.array(expected), abs=1e-9)
+
+
+def test_bodies_that_three_frictions_bring_to_rest_rest() -> None:
+    """Two springs, and friction on each other and on the floor: as another integrator says up to where both rest."""
+    text = (
+        FLOOR.replace("(force -", "(force - k*x -")
+        .replace("(rub*", "(-k*y + rub*")
+        .replace("m: {", "k: {value: 32, unit: N/m}, m: {")
+    )
+    file, times = file_of(text), np.linspace(0.0, 1.0, 201)
+    numbers = {"k": 32.0, "m": 1.0, "f1": 1.16, "f2": 1.74, "rub": 1.92}
+    start = {"x": -0.1, "v": 0.0, "y": 0.0, "w": 0.1}
+    nothing = Inputs(np.array([0.0]), np.zeros((1, 1)), np.array([True]))
+    shown = machine_of(file).run(numbers, start, nothing, times)
+    smooth = solve_ivp(
+        lambda _, s: [
+            s[1], -32.0 * s[0] - 1.16 * np.tanh(s[1] / 1e-7) - 1.92 * np.tanh((s[1] - s[3]) / 1e-7),
+            s[3], -32.0 * s[2] - 1.74 * np.tanh(s[3] / 1e-7) + 1.92 * np.tanh((s[1] - s[3]) / 1e-7),
+        ],
+        (0.0, 1.0), list(start.values()), method="Radau", rtol=1e-9, atol=1e-12, t_eval=times,
+    )  # fmt: skip
+    assert shown.outputs == pytest.approx(smooth.y[[0, 2]].T, abs=1e-6)
+    assert np.all(shown.outputs[times > 0.4] == shown.outputs[-1])
 
 
 def test_a_pendulum_with_a_stop_is_that_of_another_integrator() -> None:

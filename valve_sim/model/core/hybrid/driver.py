@@ -37,7 +37,7 @@ POLISHED: Final = 4
 """Trials in which an event is located on the guard itself, and not on its series."""
 EDGE: Final = 1e-9
 """Of the jump across a switch: a rate so small does not hold the state on it."""
-ROUNDS: Final = 12
+ROUNDS: Final = 24
 """Times that switches are decided again, as one may depend on another."""
 LOWER, UPPER, BETWEEN = 0, 1, 2
 """Sides of a switch."""
@@ -249,6 +249,16 @@ def commit(b: Block, t: Block, time: float) -> None:
 # -- switches ----------------------------------------------------------------------------------------------------------
 
 
+def is_held_by_others(b: Block, j: int) -> bool:
+    """Whether what slides along other switches keeps a state on this one, too: then its own side is of no effect."""
+    k = int(b[at.SLIDER_OF + j])
+    held = False
+    if k >= 0 and b[at.SLIDES + k] < 0.5 and b[at.SPAN + k] > 0.0:
+        is_on = abs(b[at.EXCESS + j]) <= b[at.UNSURE + j]
+        held = is_on and b[at.BELOW + k] - b[at.ABOVE + k] <= EDGE * b[at.SPAN + k]
+    return held
+
+
 def side_of(b: Block, j: int, crossed: int) -> int:
     """The side of a switch on which the state is, where it was looked at: `LOWER`, `UPPER`, or, sliding, `BETWEEN`.
 
@@ -265,6 +275,8 @@ def side_of(b: Block, j: int, crossed: int) -> int:
         side = UPPER if above > 0.0 else LOWER
         if span > 0.0 and above <= least and below >= -least:
             side = BETWEEN
+    elif is_held_by_others(b, j):
+        side = int(b[at.FLAG + j])
     elif j == crossed:
         # It came from the side that it left; what counts is whether the other one pushes it back.
         side = int(b[at.FLAG + j])
@@ -278,7 +290,10 @@ def side_of(b: Block, j: int, crossed: int) -> int:
 
 
 def decide(b: Block, t: Block, crossed: int) -> None:
-    """Decide the sides of all switches; `crossed` has just changed, −1: none. Each may depend on others."""
+    """Decide the sides of all switches; `crossed` has just changed, −1: none. Each may depend on others.
+
+    One begins to slide at a time: it may be enough to hold others.
+    """
     switches = int(b[at.SWITCHES])
     for _ in range(ROUNDS if switches > 0 else 0):
         look(b, t)
@@ -294,6 +309,8 @@ def decide(b: Block, t: Block, crossed: int) -> None:
             if k >= 0 and slides != b[at.SLIDES + k]:
                 b[at.SLIDES + k] = slides
                 changed = 1
+                if slides > 0.5:
+                    break
         if changed == 0:
             break
     choose_group(b, t)
@@ -307,7 +324,7 @@ def choose_group(b: Block, t: Block) -> None:
     for k in range(sliders):
         switch = int(b[at.SWITCH_OF + k])
         b[at.SLIDER_MASK + k] = at.HUGE
-        b[at.SWITCH_MASK + switch] = 0.0
+        b[at.SWITCH_MASK + switch] = at.HUGE if is_held_by_others(b, switch) else 0.0
         if b[at.SLIDES + k] > 0.5:
             slides = 1.0
             b[at.SLIDER_MASK + k] = 0.0
@@ -500,7 +517,7 @@ def drive(
 
 FUNCTIONS: Final = (
     *polynomials.FUNCTIONS, before, look_at, look, step, step_of_tangents, is_finite, is_off, first_event, deflate,
-    slack, polish, commit, side_of, decide, choose_group, leave, move_tangents, end_step, log_event, take_inputs, fill,
-    run, drive,
+    slack, polish, commit, is_held_by_others, side_of, decide, choose_group, leave, move_tangents, end_step, log_event,
+    take_inputs, fill, run, drive,
 )  # fmt: skip
 """What is compiled."""

@@ -197,14 +197,22 @@ class Kernels:
         return found
 
     def _rounding(self, code: Code, series: Series, node: Node) -> Value:
-        """Below what size the sign of an expression is that of its rounding: its terms may be large, itself small."""
+        """Below what size the sign of an expression is that of its rounding: its terms may be large, itself small.
+
+        Along a switch on which it slid it has drifted by rounding of states as large as they have been.
+        """
+        has_slid = node in [self.system.switches[switch] for switch in self.system.sliders]
         sizes: dict[Node, Value] = {}
         for own in sorted(ancestors([node]), key=lambda one: one.index):
             if own.op in ("add", "sub"):
                 sizes[own] = code.add(sizes[own.args[0]], sizes[own.args[1]])
+            elif own.op == "neg":
+                sizes[own] = sizes[own.args[0]]
             else:
-                sizes[own] = sizes[own.args[0]] if own.op == "neg" else code.call("fabs", series.value(own))
-        has_slid = node in [self.system.switches[switch] for switch in self.system.sliders]
+                sizes[own] = code.call("fabs", series.value(own))
+                if has_slid and own.op == "state":
+                    place = self.system.description.states.index(str(own.payload))
+                    sizes[own] = code.larger(code.load(at.PEAK + place), sizes[own])
         return code.mul(sizes[node], code.constant(OF_DRIFT if has_slid else OF_TERMS))
 
     def _scale(self, code: Code, place: int, first: Value) -> Value:
@@ -275,6 +283,9 @@ class Kernels:
             beyond = code.sub(share, code.constant(1.0)), share
             for slot, side, bound in zip((at.ABOVE, at.BELOW), sides, beyond, strict=True):
                 code.store(slot + k, code.select(slides_now, bound, series.value(side)))
+            if len(system.sliders) > 1:
+                above, below = system.sides(system.switches[switch], flow.free)
+                code.store(at.SPAN + k, series.value(below - above))
         return code
 
     def _row(self) -> Code:

@@ -84,7 +84,9 @@ ABOVE: Final = EXCESS_RATE + MOST_SWITCHES
 BELOW: Final = ABOVE + MOST_SLIDERS
 """Of each slider the rates of its excess on both sides; while the state slides, the share of the upper side less 1, and
 that share."""
-OUT: Final = BELOW + MOST_SLIDERS
+SPAN: Final = BELOW + MOST_SLIDERS
+"""Of each slider by how much those rates differ while nothing slides; 0 where there is no other slider."""
+OUT: Final = SPAN + MOST_SLIDERS
 SCRATCH: Final = OUT + MOST_OUTPUTS
 SERIES: Final = SCRATCH + 2 * TERMS
 WATCH: Final = SERIES + MOST_STATES * TERMS

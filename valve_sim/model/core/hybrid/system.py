@@ -7,7 +7,8 @@ friction holds): with f⁺ and f⁻ the rates on either side, the machine follow
 
     ė(f⁻) + α (ė(f⁺) − ė(f⁻)) = 0,                                                                          (1)
 
-and leaves it where α reaches 0 or 1. Several switches that slide at once have one linear equation each.
+and leaves it where α reaches 0 or 1. Several switches that slide at once have one linear equation each. A switch that
+these keep at 0, too, has none: its side stays as it is.
 """
 
 from __future__ import annotations
