@@ -20,10 +20,6 @@ Array = NDArray[np.float64]
 TOLERANCE: Final = 1e-9
 """Relative error of a step, of the largest size that a state has had so far."""
 FEW_EVENTS: Final = 64
-LIVE_EVENTS: Final = 4096
-"""Events that a piece of a run may have; later ones are not told."""
-MOST_LIVE: Final = 4_000_000
-"""Steps of a piece of a run."""
 
 
 class Run(NamedTuple):
@@ -58,8 +54,8 @@ class Changes:
 NO_CHANGES: Final = Changes(np.empty((0, 1)))
 
 
-class _Room:
-    """Memory of one run at a time: a block, its tangents, and events."""
+class Room:
+    """Memory of one run at a time: a block, its tangents, and so many events; later ones are not told."""
 
     def __init__(self, width: int, events: int) -> None:
         self.block, self.tangents = np.zeros(at.SIZE), np.zeros((at.SIZE, width))
@@ -78,7 +74,7 @@ class Compiled:
     def __init__(self, system: System, free: Sequence[str], width: int) -> None:
         kernels = Kernels(system, free, width)
         self.width, self._system, self.outputs = width, system, len(system.outputs)
-        self._slots, self._rooms = kernels.slots, list[_Room]()
+        self._slots, self._rooms = kernels.slots, list[Room]()
         self._library = machine.library(f"hybrid {system.digest} {free} {width}", kernels.text, machine.WELL)
         self._blank = self._made()
 
@@ -124,36 +120,26 @@ class Compiled:
             changes: of the inputs. times: (n,) s, ascending, none before the start. most: steps that it may take.
             tolerance: relative error of a step, of the largest size that a state has had so far.
         """
-        width = self.width
         try:
             room = self._rooms.pop()
         except IndexError:
-            room = _Room(width, FEW_EVENTS)
-        block, tangents = room.block, room.tangents
-        self.begin(block, states, numbers, changes, tolerance)
-        if width:
-            tangents[: at.COPIED] = 0.0
+            room = Room(self.width, FEW_EVENTS)
+        self.begin(room, states, numbers, changes, tolerance)
+        if self.width:
+            room.tangents[: at.COPIED] = 0.0
             for column, direction in enumerate(directions):
                 for name, by in direction.items():
-                    tangents[self._slots[name], column] = by
-        rows, slopes = np.empty((len(times), self.outputs)), np.empty((len(times), self.outputs, width))
-        outcome = _drive()(
-            *room.addresses[:2], changes.address, changes.count, times[-1], most, times.ctypes.data, len(times),
-            rows.ctypes.data, slopes.ctypes.data if width else 0, room.addresses[2], len(room.events),
-        )  # fmt: skip
-        count = int(block[at.EVENTS])
-        if count > len(room.events):  # more than ever before: once more, with room for them
-            self._rooms.append(_Room(width, 2 * count))
+                    room.tangents[self._slots[name], column] = by
+        found = self.advance(room, changes, times, most)
+        if room.block[at.EVENTS] > len(room.events):  # more than ever before: once more, with room for them
+            self._rooms.append(Room(self.width, 2 * int(room.block[at.EVENTS])))
             return self.run(states, numbers, directions, changes, times, most, tolerance)
-        found = Run(
-            outcome, float(block[at.TIME]), int(block[at.TAKEN]), rows, slopes[:, :, : len(directions)],
-            room.events[:count].copy(),
-        )  # fmt: skip
         self._rooms.append(room)
-        return found
+        return found._replace(slopes=found.slopes[:, :, : len(directions)])
 
-    def begin(self, block: Array, states: Array, numbers: Array, changes: Changes, tolerance: float) -> None:
-        """Make a block that of a machine at its start; arguments: see `run`."""
+    def begin(self, room: Room, states: Array, numbers: Array, changes: Changes, tolerance: float) -> None:
+        """Make the block of a room that of a machine at its start; arguments: see `run`."""
+        block = room.block
         block[: at.COPIED] = self._blank
         block[at.STATE : at.STATE + len(states)] = states
         block[at.PEAK : at.PEAK + len(states)] = np.abs(states)
@@ -161,42 +147,20 @@ class Compiled:
         block[at.TIME], block[at.TOLERANCE] = changes.rows[0, 0], tolerance
         block[at.IS_STRAIGHT] = changes.has_slopes
 
+    def advance(self, room: Room, changes: Changes, times: Array, most: int) -> Run:
+        """Run a machine that has begun on to the last of some times, with the changes of inputs on the way.
 
-class Stepped:
-    """A machine that is run in pieces, with inputs that hold: the same run to the last bit.
-
-    Args:
-        compiled: without directions. states, numbers, changes, tolerance: see `Compiled.run`; the first of the
-            changes alone is taken.
-
-    Attributes:
-        begun: the piece that has no length, at the start.
-    """
-
-    def __init__(self, compiled: Compiled, states: Array, numbers: Array, changes: Changes, tolerance: float) -> None:
-        self._room, self._row = _Room(0, LIVE_EVENTS), np.empty((1, compiled.outputs))
-        compiled.begin(self._room.block, states, numbers, changes, tolerance)
-        self.begun = self.advance(float(changes.rows[0, 0]), changes)
-
-    @property
-    def modes(self) -> list[int]:
-        """Of each region the number of the mode in force; further regions have 0."""
-        return [int(number) for number in self._room.block[at.MODE : at.MODE + at.MOST_REGIONS]]
-
-    def renumber(self, numbers: Array) -> None:
-        """Give the parameters other values; `advance` comes before and after, with a change at that time."""
-        self._room.block[at.NUMBERS : at.NUMBERS + len(numbers)] = numbers
-
-    def advance(self, time: float, changes: Changes = NO_CHANGES) -> Run:
-        """Run on to a time, s, with changes of the inputs on the way; outputs are those of that time, (1, outputs)."""
-        block, here = self._room.block, np.array([time])
+        With inputs that hold it is the same run to the last bit, in whatever pieces. Arguments: see `run`.
+        """
+        block, count = room.block, len(times)
         block[at.SAMPLED] = block[at.EVENTS] = block[at.TAKEN] = 0.0
+        rows, slopes = np.empty((count, self.outputs)), np.empty((count, self.outputs, self.width))
         outcome = _drive()(
-            *self._room.addresses[:2], changes.address, changes.count, time, MOST_LIVE, here.ctypes.data, 1,
-            self._row.ctypes.data, 0, self._room.addresses[2], LIVE_EVENTS,
+            *room.addresses[:2], changes.address, changes.count, times[-1], most, times.ctypes.data, count,
+            rows.ctypes.data, slopes.ctypes.data, room.addresses[2], len(room.events),
         )  # fmt: skip
-        events = self._room.events[: int(block[at.EVENTS])].copy()
-        return Run(outcome, float(block[at.TIME]), int(block[at.TAKEN]), self._row.copy(), np.empty((1, 0, 0)), events)
+        events = room.events[: int(block[at.EVENTS])].copy()
+        return Run(outcome, float(block[at.TIME]), int(block[at.TAKEN]), rows, slopes, events)
 
 
 @machine.made_once

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.model.core.hybrid import driver
-from valve_sim.model.core.hybrid.compiled import TOLERANCE, Array, Changes, Compiled, Run, Stepped
+from valve_sim.model.core.hybrid import layout as at
+from valve_sim.model.core.hybrid.compiled import NO_CHANGES, TOLERANCE, Array, Changes, Compiled, Room, Run
 from valve_sim.model.core.hybrid.description import Case
 from valve_sim.model.core.hybrid.system import System
 from valve_sim.model.core.own.equations import Equations
@@ -22,7 +23,10 @@ STEPS_EACH: Final = 200
 STEPS_MORE: Final = 200_000
 WIDTHS: Final = (0, 4, 8, 12, 16)
 """Directions of derivatives that kernels are compiled for; more are taken in several runs."""
-
+LIVE_EVENTS: Final = 4096
+"""Events that a piece of a live run may have; later ones are not told."""
+MOST_LIVE: Final = 4_000_000
+"""Steps of a piece of a live run."""
 MOST_DRIVEN: Final = 256
 """Inputs whose changes are kept."""
 
@@ -127,8 +131,9 @@ class Machine:
         tolerance: float = TOLERANCE,
     ) -> Live:  # fmt: skip
         """The machine live, from a time on, s; `levels` of its inputs, SI, hold until they change; else as `run`."""
-        states, values = self._start(numbers, start)
-        return Live(self, Stepped(self._with_width(0), states, values, _held(time, levels), tolerance), levels)
+        compiled, room = self._with_width(0), Room(0, LIVE_EVENTS)
+        compiled.begin(room, *self._start(numbers, start), _held(time, levels), tolerance)
+        return Live(self, compiled, room, levels)
 
     def _start(self, numbers: Mapping[str, float], start: Mapping[str, float]) -> tuple[Array, Array]:
         states = np.array([start[name] for name in self.equations.derivatives])
@@ -205,13 +210,14 @@ class Live:
     """A machine that is stepped: what it shows at times that are not known beforehand is what one run shows then.
 
     Args:
-        machine: made it. stepped: it, at its start. levels: of its inputs, SI.
+        machine: made it. compiled: without directions. room: in which it has begun. levels: of its inputs, SI.
     """
 
-    def __init__(self, machine: Machine, stepped: Stepped, levels: Sequence[float]) -> None:
-        self._machine, self._stepped, self._levels = machine, stepped, tuple(levels)
-        self._untold = [stepped.begun]
-        machine.check(stepped.begun)
+    def __init__(self, machine: Machine, compiled: Compiled, room: Room, levels: Sequence[float]) -> None:
+        self._machine, self._compiled, self._room, self._levels = machine, compiled, room, tuple(levels)
+        time = float(room.block[at.TIME])
+        self._untold = [self._step(time, _held(time, levels))]
+        machine.check(self._untold[0])
 
     def advance(self, time: float) -> Piece:
         """What it shows at a time, s.
@@ -219,19 +225,23 @@ class Live:
         Raises:
             SimulationError: a number is not finite, or time stands still.
         """
-        return self._shown(self._stepped.advance(time))
+        return self._shown(self._step(time))
 
     def change(self, time: float, levels: Sequence[float]) -> Piece:
         """The same, of inputs that have other levels, SI, from that time on."""
         self._levels = tuple(levels)
-        return self._shown(self._stepped.advance(time, _held(time, levels)))
+        return self._shown(self._step(time, _held(time, levels)))
 
     def renumber(self, time: float, numbers: Mapping[str, float]) -> Piece:
         """The same, with other values of all parameters from that time on; states go on."""
         here = _held(time, self._levels)
-        self._untold.append(self._stepped.advance(time, here))
-        self._stepped.renumber(self._machine.values(numbers))
-        return self._shown(self._stepped.advance(time, here))
+        values = self._machine.values(numbers)
+        self._untold.append(self._step(time, here))
+        self._room.block[at.NUMBERS : at.NUMBERS + len(values)] = values
+        return self._shown(self._step(time, here))
+
+    def _step(self, time: float, changes: Changes = NO_CHANGES) -> Run:
+        return self._compiled.advance(self._room, changes, np.array([time]), MOST_LIVE)
 
     def _shown(self, done: Run) -> Piece:
         self._machine.check(done)
@@ -239,10 +249,8 @@ class Live:
         cases = [case for run in runs if len(run.events) for case in self._machine.cases(run.events)]
         events = tuple([Event(time, case.event) for time, case in cases if case.event])
         entered = tuple([pair for _, case in cases for pair in case.to.items()])
-        regions = self._machine.equations.regions
-        modes = {
-            name: tuple(own)[number] for (name, own), number in zip(regions.items(), self._stepped.modes, strict=False)
-        }
+        regions, numbers = self._machine.equations.regions, self._room.block[at.MODE : at.MODE + at.MOST_REGIONS]
+        modes = {name: tuple(own)[int(number)] for (name, own), number in zip(regions.items(), numbers, strict=False)}
         return Piece(done.outputs[0], events, entered, modes)
 
 
