@@ -30,8 +30,8 @@ from benchmarks.common import parser, show
 from benchmarks.other_solvers import TIMES, TOLERANCE, scipy_opening
 from valve_sim.model import Drive, EventKind, Valve, simulate
 from valve_sim.model.live import Live
-from valve_sim.model.runs import Directions, run_sloped
-from valve_sim.model.simulation import run_numbers
+from valve_sim.model.runs import Directions, Run
+from valve_sim.model.simulation import commands_of, run_numbers
 
 Work = Callable[[], object]
 DRIVE: Final = Drive.of([0.0], [9.0])
@@ -105,7 +105,7 @@ def batch(valve: Valve, drive: Drive, times: Any, count: int = ROW, threads: int
 def sloped() -> Work:
     """Eight strokes of 100 samples with derivatives by sixteen parameters, once."""
     directions, times = Directions.of(SEATED, STROKES, SIXTEEN), np.linspace(1e-4, 0.32, 100)
-    return lambda: run_sloped(SEATED, STROKES, times, directions, tolerance=TOLERANCE)
+    return lambda: Run(SEATED, 0.0, directions=directions).piece(commands_of(STROKES), times[-1], times)
 
 
 def core(options: argparse.Namespace) -> list[Row]:

@@ -9,7 +9,8 @@ import pytest
 
 from valve_sim.model import CATALOGUE, Drive, Effect, ParameterError, Stepper, Valve, simulate
 from valve_sim.model.effects.catalogue import Catalogue
-from valve_sim.model.runs import Directions, run_sloped
+from valve_sim.model.runs import Directions, Run
+from valve_sim.model.simulation import commands_of
 
 from .random_valves import RANGES
 
@@ -43,7 +44,8 @@ def test_any_two_effects_are_simulated_with_and_without_derivatives(first: str) 
             name: {key: 0.5 * (low + high) for key, (low, high) in RANGES[name].items()} for name in (first, second)
         }
         valve = Valve(CALIBRATED.parameters, effects)
-        shown = run_sloped(valve, PULSE, TIMES, Directions.of(valve, PULSE, ["main_damping", "stroke", "a0"]))
+        run = Run(valve, 0.0, directions=Directions.of(valve, PULSE, ["main_damping", "stroke", "a0"]))
+        shown = run.piece(commands_of(PULSE), TIMES[-1], TIMES)
         assert np.isfinite(shown.of_positions).all(), second
         np.testing.assert_allclose(shown.positions, simulate(valve, PULSE, TIMES).pilot_position, 0.0, 1e-10)
 

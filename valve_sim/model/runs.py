@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
@@ -16,7 +15,7 @@ from valve_sim.model.core.samples import GAS_COLUMNS, ROW_COLUMNS
 from valve_sim.model.drives import Drive
 from valve_sim.model.errors import ParameterError
 from valve_sim.model.parameters import closest
-from valve_sim.model.simulation import TOLERANCE, check_geometry, check_outcome, commands_of, most_steps, start_of
+from valve_sim.model.simulation import TOLERANCE, check_geometry, check_outcome, most_steps
 from valve_sim.model.valve import Valve
 
 Array = NDArray[np.float64]
@@ -240,23 +239,3 @@ def _both(currents: Array, pressures: Array) -> tuple[Array, Any, Any]:
         return np.ascontiguousarray(pressures), none, whole
     both = np.union1d(currents, pressures)
     return both, np.searchsorted(both, currents), np.searchsorted(both, pressures)
-
-
-def run_sloped(
-    valve: Valve, drive: Drive, sample_times: Array, directions: Directions, *, tolerance: float = TOLERANCE,
-    with_currents: bool = False,
-) -> Shown:  # fmt: skip
-    """A run from rest and its derivatives along k directions.
-
-    Args:
-        valve: what is simulated. drive: the commanded voltage. sample_times: (n,) s, ascending.
-        directions: what the derivatives are taken by. tolerance: relative error of one step.
-        with_currents: whether the current is asked for; its arrays are empty otherwise.
-
-    Raises:
-        SimulationError: the run could not be carried to its end.
-    """
-    times = np.ascontiguousarray(sample_times, dtype=np.float64)
-    run = Run(valve, start_of(drive, times), tolerance=tolerance, directions=directions)
-    end = float(times[-1]) if len(times) else -math.inf
-    return run.piece(commands_of(drive), end, times, times if with_currents else NO_TIMES)

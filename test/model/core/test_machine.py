@@ -14,7 +14,8 @@ from model.core.cases import DRAWN
 from valve_sim.model import simulate
 from valve_sim.model.core import layout, machine, plan
 from valve_sim.model.core.machine import made_once
-from valve_sim.model.runs import WIDTHS, Directions, run_sloped
+from valve_sim.model.runs import WIDTHS, Directions, Run
+from valve_sim.model.simulation import commands_of
 
 TEXT = "define double @twice(double %x) {\n  %y = fadd double %x, %x\n  ret double %y\n}\n"
 
@@ -51,7 +52,8 @@ def test_better_code_gives_the_same_numbers_to_the_last_bit(
         found, code = [], set()
         for runs in (1, plan.OFTEN):
             code.add(valve.plan(WIDTHS[-1], runs).blank[layout.LOOK])
-            whole, sloped = simulate(valve, drive, times), run_sloped(valve, drive, times, directions)
+            whole, run = simulate(valve, drive, times), Run(valve, 0.0, directions=directions)
+            sloped = run.piece(commands_of(drive), times[-1], times)
             found.append([own.tobytes() for own in (whole.pilot_velocity, whole.coil_current, sloped.of_positions)])
             valve.plan(0, plan.OFTEN)
         assert found[0] == found[1] and len(code) == 2
