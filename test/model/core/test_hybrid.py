@@ -464,3 +464,22 @@ def test_a_block_whose_speed_drifted_by_rounding_while_it_stuck_slips_on() -> No
     shown = machine_of(file).run(numbers, {"x": 0.0, "v": 0.0}, NO_INPUTS, times)
     assert np.min(shown.outputs[times > 0.6, 2]) < -1e-3  # it sticks until 0.580 s
     assert np.max(shown.outputs[:, 2]) < 1e-12
+
+
+def test_three_bodies_in_a_row_stick_to_each_other_and_to_the_floor() -> None:
+    """Five frictions: a pull of 3 N moves the first body and the second one on it; the third rests."""
+    text = """
+plant: equations
+states: {v: {unit: m/s}, w: {unit: m/s}, u: {unit: m/s}}
+inputs: {force: {unit: N, between: held}}
+parameters:
+  {m: {value: 1, unit: kg}, floor: {value: 1, unit: N}, rub: {value: 1.5, unit: N}, slip: {value: 0.5, unit: N}}
+derivatives:
+  v: (force - floor*sign(v) - rub*sign(v - w))/m
+  w: (rub*sign(v - w) - 0.2*floor*sign(w) - slip*sign(w - u))/m
+  u: (slip*sign(w - u) - floor*sign(u))/m
+outputs: {first: {value: v, unit: m/s}, second: {value: w, unit: m/s}, third: {value: u, unit: m/s}}
+"""
+    shown = run(text, held([0.0, 1.0, 2.0], [0.0, 3.0, 0.0]), np.array([1.0, 2.0, 5.0]))
+    rate = 0.5 * (3.0 - 1.0 - 0.2 - 0.5)
+    assert shown.outputs == pytest.approx(np.array([[0.0, 0.0, 0.0], [rate, rate, 0.0], [0.0, 0.0, 0.0]]), abs=1e-9)

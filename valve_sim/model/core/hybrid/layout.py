@@ -22,7 +22,7 @@ MOST_GROUPS: Final = 16
 """Combinations of modes with different flows."""
 MOST_TRANSITIONS: Final = 32
 MOST_SWITCHES: Final = 40
-MOST_SLIDERS: Final = 4
+MOST_SLIDERS: Final = 6
 MOST_WATCHES: Final = 80
 MOST_NUMBERS: Final = 160
 
