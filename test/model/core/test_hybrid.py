@@ -466,6 +466,33 @@ def test_a_block_whose_speed_drifted_by_rounding_while_it_stuck_slips_on() -> No
     assert np.max(shown.outputs[:, 2]) < 1e-12
 
 
+def test_what_sticks_comes_apart_where_one_of_both_jumps() -> None:
+    """A body that carries another one rebounds from a wall: the other one slides on, until both are as fast again."""
+    text = """
+plant: equations
+states: {x: {unit: m}, v: {unit: m/s, start: 1}, w: {unit: m/s, start: 1}}
+parameters: {wall: {value: 0.1, unit: m}, e: {value: 0.5}, rub: {value: 1, unit: m/s^2}}
+derivatives: {x: v, v: -rub*sign(v - w), w: rub*sign(v - w)}
+transitions: [{when: x > wall, cases: [{set: {x: wall, v: -e*v}}]}]
+outputs: {lower: {value: v, unit: m/s}, upper: {value: w, unit: m/s}}
+"""
+    shown = run(text, NO_INPUTS, np.array([0.0, 0.09, 0.5, 0.95]))
+    assert shown.outputs == pytest.approx(np.array([[1.0, 1.0], [1.0, 1.0], [-0.1, 0.6], [0.25, 0.25]]), abs=1e-12)
+
+
+def test_what_sticks_to_a_belt_slips_where_the_belt_becomes_faster() -> None:
+    text = """
+plant: equations
+states: {v: {unit: m/s}}
+inputs: {belt: {unit: m/s, between: held}}
+parameters: {rub: {value: 2, unit: m/s^2}}
+derivatives: {v: -rub*sign(v - belt)}
+outputs: {speed: {value: v, unit: m/s}}
+"""
+    shown = run(text, held([0.0, 1.0], [0.1, 0.3]), np.array([0.02, 0.9, 1.05, 1.2]))
+    assert shown.outputs[:, 0] == pytest.approx([0.04, 0.1, 0.2, 0.3], abs=1e-12)
+
+
 def test_three_bodies_in_a_row_stick_to_each_other_and_to_the_floor() -> None:
     """Five frictions: a pull of 3 N moves the first body and the second one on it; the third rests."""
     text = """

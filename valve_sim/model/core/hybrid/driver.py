@@ -271,7 +271,8 @@ def side_of(b: Block, j: int, crossed: int) -> int:
     span = below - above
     least = EDGE * span
     side = UPPER if excess > 0.0 else LOWER
-    if k >= 0 and b[at.SLIDES + k] > 0.5:
+    # A transition, or another input, may have thrown the state off a switch along which it slid.
+    if k >= 0 and b[at.SLIDES + k] > 0.5 and (crossed >= 0 or abs(excess) <= b[at.UNSURE + j]):
         side = UPPER if above > 0.0 else LOWER
         if span > 0.0 and above <= least and below >= -least:
             side = BETWEEN
