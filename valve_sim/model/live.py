@@ -14,13 +14,12 @@ from valve_sim.model.core.driver import LIVE_EVENTS
 from valve_sim.model.core.gas import PREFIX
 from valve_sim.model.core.plan import Plan
 from valve_sim.model.core.samples import GAS_COLUMNS, ROW_COLUMNS
-from valve_sim.model.core_types import EventKind, Phase
-from valve_sim.model.response import Event
+from valve_sim.model.core_types import Phase
+from valve_sim.model.response import Event, events_of
 from valve_sim.model.simulation import check_geometry, check_outcome
 from valve_sim.model.valve import Valve
 
 Array = NDArray[np.float64]
-_KINDS: Final = tuple(EventKind)
 _EVENTS_AT: Final = layout.SIZE + GAS_COLUMNS
 
 
@@ -105,7 +104,7 @@ class Live:
     def _taken_events(self) -> tuple[Event, ...]:
         count = min(int(self.block[layout.COUNT]), LIVE_EVENTS)
         self.block[layout.COUNT] = 0.0
-        return tuple([Event(t, _KINDS[int(kind)], x, v) for t, kind, x, v in self._events[:count].tolist()])
+        return events_of(self._events[:count])
 
     def as_valve(self, valve: Valve, tolerance: float) -> Live:
         """This state, stepped on as another valve.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from valve_sim.model.core_types import EventKind
 
 Array = NDArray[np.float64]
+_KINDS: Final = tuple(EventKind)
 
 
 class Event(NamedTuple):
@@ -21,6 +22,11 @@ class Event(NamedTuple):
     kind: EventKind
     position: float
     velocity: float
+
+
+def events_of(logged: Array) -> tuple[Event, ...]:
+    """The events of (e, 4) s, number of the kind, m, and m/s before it."""
+    return tuple([Event(t, _KINDS[int(kind)], x, v) for t, kind, x, v in logged.tolist()])
 
 
 @dataclass(frozen=True)

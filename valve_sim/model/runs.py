@@ -15,7 +15,8 @@ from valve_sim.model.core.samples import GAS_COLUMNS, ROW_COLUMNS
 from valve_sim.model.drives import Drive
 from valve_sim.model.errors import ParameterError
 from valve_sim.model.parameters import closest
-from valve_sim.model.simulation import TOLERANCE, check_geometry, check_outcome, most_steps
+from valve_sim.model.response import Event, events_of
+from valve_sim.model.simulation import EVENT_ROOM, TOLERANCE, check_geometry, check_outcome, most_steps
 from valve_sim.model.valve import Valve
 
 Array = NDArray[np.float64]
@@ -190,22 +191,26 @@ class Run:
             seen[at_pressures, -1], of_seen[at_pressures, -1],
         )  # fmt: skip
 
-    def rows(self, commands: Array, end: float, times: Array, *, room: int = 0) -> tuple[Array, Array, int]:
-        """As `piece`, of a run without derivatives: whole rows (see `samples.ROW_COLUMNS`), events and their number."""
+    def rows(self, commands: Array, end: float, times: Array) -> tuple[Array, tuple[Event, ...]]:
+        """As `piece`, of a run without derivatives: whole rows (see `samples.ROW_COLUMNS`), and all events."""
         (tile,) = self._tiles
-        block = tile.block.ctypes.data
+        block, before, room = tile.block.ctypes.data, tile.block.copy(), EVENT_ROOM
         times, commands = np.ascontiguousarray(times), np.ascontiguousarray(commands)
         columns = GAS_COLUMNS if tile.block[layout.DENSITY] else ROW_COLUMNS
-        rows, events = np.empty((len(times), columns)), np.empty((room, 4))
-        tile.block[[layout.COUNT, layout.SAMPLED, layout.SAMPLED_ROWS]] = 0.0
-        outcome = tile.plan.entry("drive")(
-            block, block, commands.ctypes.data, len(commands), end, most_steps(end - tile.block[layout.TIME]),
-            times.ctypes.data, len(times), rows.ctypes.data, columns, block, block, 0, block, block, block,
-            events.ctypes.data, room,
-        )  # fmt: skip
-        check_outcome(outcome)
-        count = int(tile.block[layout.COUNT])
-        return rows, events[: min(count, room)], count
+        rows = np.empty((len(times), columns))
+        while True:
+            events = np.empty((room, 4))
+            tile.block[[layout.COUNT, layout.SAMPLED, layout.SAMPLED_ROWS]] = 0.0
+            outcome = tile.plan.entry("drive")(
+                block, block, commands.ctypes.data, len(commands), end, most_steps(end - tile.block[layout.TIME]),
+                times.ctypes.data, len(times), rows.ctypes.data, columns, block, block, 0, block, block, block,
+                events.ctypes.data, room,
+            )  # fmt: skip
+            check_outcome(outcome)
+            count = int(tile.block[layout.COUNT])
+            if count <= room:
+                return rows, events_of(events[:count])
+            tile.block[:], room = before, count
 
     def become(self, numbers: Array, slopes: Array | None = None) -> None:
         """Go on with other numbers, from the last command on, with which the last piece has ended.
@@ -219,15 +224,6 @@ class Run:
             if slopes is not None:
                 moved[:, : own.stop - own.start] = slopes[own].T
             plan.entry("renumber")(block.ctypes.data, tangents.ctypes.data, values.ctypes.data, moved.ctypes.data)
-
-    def save(self) -> list[Array]:
-        """All that a run without derivatives is, to be restored."""
-        return [tile.block.copy() for tile in self._tiles]
-
-    def restore(self, saved: list[Array]) -> None:
-        """Be again as when it was saved."""
-        for tile, block in zip(self._tiles, saved, strict=True):
-            tile.block[:] = block
 
 
 def _both(currents: Array, pressures: Array) -> tuple[Array, Any, Any]:

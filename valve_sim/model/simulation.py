@@ -13,10 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 from valve_sim.model.core import layout
 from valve_sim.model.core.driver import CHANGES, LONGEST_RUN, MOST_STEPS
 from valve_sim.model.core.samples import GAS_COLUMNS, ROW_COLUMNS
-from valve_sim.model.core_types import EventKind, Outcome
+from valve_sim.model.core_types import Outcome
 from valve_sim.model.drives import Drive, Supply
 from valve_sim.model.errors import SimulationError
-from valve_sim.model.response import Event, Response
+from valve_sim.model.response import Response, events_of
 from valve_sim.model.valve import Valve
 
 Array = NDArray[np.float64]
@@ -26,7 +26,6 @@ TOLERANCE: Final = 1e-10
 times as much leaves them within 6e-11 s (`python -m benchmarks.accuracy`)."""
 EVENT_ROOM: Final = 256
 """Events for which there is room at first; a run with more is repeated."""
-_KINDS: Final = tuple(EventKind)
 
 
 def most_steps(duration: float) -> int:
@@ -80,9 +79,8 @@ def simulate(
         if found <= room:
             break
         room = found
-    logged = block[layout.SIZE : layout.SIZE + 4 * found].reshape(-1, 4).tolist()
+    events = events_of(block[layout.SIZE : layout.SIZE + 4 * found].reshape(-1, 4))
     pilot, main, velocity, attraction, phase, _, voltage, _, current, *of_gas = rows.T
-    events = tuple([Event(t, _KINDS[int(kind)], x, v) for t, kind, x, v in logged])
     return Response(
         times, pilot, main, velocity, current, attraction, phase.astype(np.uint8), events, voltage,
         bool(block[layout.ONE_PLUNGER]), *of_gas,

@@ -10,7 +10,7 @@ from valve_sim.files.parameter_files import default_valve
 from valve_sim.identification.plants import valve_pieces
 from valve_sim.identification.validation import replay
 from valve_sim.identification.validation.replay import motion_of
-from valve_sim.model import simulate
+from valve_sim.model import runs, simulate
 from valve_sim.recordings import Signal
 
 
@@ -22,7 +22,7 @@ def test_pieces_are_to_the_last_digit_what_one_simulation_gives(judged: str, mon
         trace = replace(trace, times=nothing, pilot_position=nothing, coil_current=Signal(times, np.zeros(len(times))))
     whole = simulate(valve, trace.drive, times, start_time=-1e-3)
     monkeypatch.setattr(valve_pieces, "SAMPLES", 2)
-    monkeypatch.setattr(replay, "EVENTS", 1)
+    monkeypatch.setattr(runs, "EVENT_ROOM", 1)
     found = motion_of(valve, trace, trace.drive, times, -1e-3, 0.0)
     assert np.array_equal(found.shown, whole.pilot_position if judged == "position" else whole.coil_current)
     assert np.array_equal(found.is_moving, np.abs(whole.pilot_velocity) > replay.STILL_SPEED)

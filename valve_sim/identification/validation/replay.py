@@ -27,7 +27,7 @@ from valve_sim.identification.fit.recordings import fit_recording
 from valve_sim.identification.plants.protocol import READABLE_UNITS, Array
 from valve_sim.identification.plants.recording_errors import CLOCK_SIGMA, ErringRecording
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.plants.valve_pieces import Cut, cuts
+from valve_sim.identification.plants.valve_pieces import cuts
 from valve_sim.identification.plants.valve_sensors import response_to
 from valve_sim.model import EXACT, TOLERANCE, Drive, Event, EventKind, Response, SimulationError, Valve, ValveError
 from valve_sim.model.runs import Run
@@ -57,9 +57,6 @@ _ARRIVALS: Final[Mapping[str, tuple[EventKind, ...]]] = {
 Progress = Callable[[str, float], None]
 STILL_SPEED: Final = 1e-5
 """m/s: below it the model rests; a pilot plunger that nothing holds down creeps at nanometres a second."""
-_KINDS: Final = tuple(EventKind)
-EVENTS: Final = 256
-"""Room for those of a piece, which is made larger where there are more."""
 
 
 class Errors(NamedTuple):
@@ -414,22 +411,11 @@ def motion_of(valve: Valve, trace: Trace, drive: Drive, times: Array, start: flo
     stepped = Run(valve, start, tolerance=TOLERANCE)  # as `simulate` has it
     is_position = trace.primary_signal == "position"
     for cut in cuts(times, times, drive, (offset, 0.0)):
-        rows, new = _rows(stepped, commands[cut.commands], cut, taken(cut.positions))
+        rows, new = stepped.rows(commands[cut.commands], cut.end, taken(cut.positions))
         events += new
         is_moving[cut.positions] = np.abs(rows[:, 2]) > STILL_SPEED
         shown[cut.positions] = rows[:, 0 if is_position else 8]
     return Motion(shown, is_moving, tuple(events))
-
-
-def _rows(stepped: Run, commands: Array, cut: Cut, times: Array) -> tuple[Array, list[Event]]:
-    """Run a piece: its rows, and its events."""
-    before, room = stepped.save(), EVENTS
-    while True:
-        rows, events, count = stepped.rows(commands, cut.end, times, room=room)
-        if count <= room:
-            return rows, [Event(t, _KINDS[int(kind)], x, v) for t, kind, x, v in events.tolist()]
-        stepped.restore(before)
-        room = count
 
 
 def _whole(response: Response, judged: str) -> Motion:
