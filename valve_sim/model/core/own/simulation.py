@@ -181,8 +181,9 @@ class Machine:
                 f"{done.steps:,} steps did not reach the end: the equations are too fast for the recording"
             )
         if done.outcome == driver.STANDS_STILL:
-            last = [int(which) + 1 for _, which, _ in done.events[-driver.MOST_STALLED // 2 :]]
-            which = f"transitions {', '.join(map(str, sorted(set(last))))} of the file" if last else "its switches"
+            stalls = done.time - driver.MOST_STALLED * driver.PROGRESS
+            last = sorted({int(which) + 1 for time, which, _ in done.events if time >= stalls})
+            which = f"transitions {', '.join(map(str, last))} of the file" if last else "its switches"
             raise SimulationError(
                 f"time stands still at {done.time:.6g} s: {which} happen again and again; "
                 "add a mode in which the machine rests"
