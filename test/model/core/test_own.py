@@ -155,7 +155,7 @@ def test_units_multiply_and_must_fit() -> None:
 
 
 def test_more_than_there_is_room_for_is_refused() -> None:
-    names = tuple(f"v{k}" for k in range(6))
+    names = tuple(f"v{k}" for k in range(7))
     with pytest.raises(EquationsError, match="stick"):
         machine({name: f"1 - 2*sign({name})" for name in names}, {"v": "v0"})
     many = {f"x{k}": "1" for k in range(13)}
