@@ -135,7 +135,9 @@ class Compiled:
             self._rooms.append(Room(self.width, 2 * int(room.block[at.EVENTS])))
             return self.run(states, numbers, directions, changes, times, most, tolerance)
         self._rooms.append(room)
-        return found._replace(slopes=found.slopes[:, :, : len(directions)])
+        if len(directions) < self.width:
+            return found._replace(slopes=found.slopes[:, :, : len(directions)])
+        return found
 
     def begin(self, room: Room, states: Array, numbers: Array, changes: Changes, tolerance: float) -> None:
         """Make the block of a room that of a machine at its start; arguments: see `run`."""
