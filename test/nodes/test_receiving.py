@@ -152,6 +152,23 @@ def test_a_message_counts_from_when_it_was_received(probe: Probe, hearing: Calla
         assert node.clock.time_of(stepped) == arrival.reading.nanoseconds, "the system's clock was set between"
 
 
+def test_messages_that_come_as_fast_as_they_are_taken_are_delivered_all_the_same(
+    hearing: Callable[..., Hearing], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Endless:
+        """The handle of a subscription on which another message waits whenever one was taken."""
+
+        def take_message(self, kind: type, is_raw: bool) -> tuple[Any, dict[str, int]]:
+            return Float64(data=1.5), {"received_timestamp": 1}
+
+    node = hearing(spinning=False)
+    node.inbox.subscribe(Float64, "~/volts", node.take, RELIABLE)
+    with monkeypatch.context() as patch:
+        patch.setattr(Subscription, "handle", property(lambda subscription: Endless()))
+        assert node.inbox.deliver()
+    assert len(node.heard) == RELIABLE.depth
+
+
 @pytest.mark.parametrize("simulated", [False, True])
 def test_earlier_topics_are_taken_before_later_ones_and_messages_can_be_forgotten(
     probe: Probe, hearing: Callable[..., Hearing], simulated: bool

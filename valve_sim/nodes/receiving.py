@@ -123,7 +123,8 @@ class Inbox:
         handle: Any = subscription.handle
         found: list[tuple[Any, Arrival]] = []
         try:
-            while len(found) < MOST_STORED:
+            # No more than can have waited: where messages come as fast as they are taken, this would not end.
+            for _ in range(subscription.qos_profile.depth):
                 waiting = handle.take_message(subscription.msg_type, False)
                 if waiting is None:
                     break
