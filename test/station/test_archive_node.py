@@ -69,6 +69,32 @@ def test_strokes_count_since_the_last_service_over_restarts(tmp_path: Path) -> N
     assert (row["alarm_class"], row["level"], row["strokes_since_service"]) == ("service", 0, 8)
 
 
+def test_what_happened_while_the_archive_was_down_is_kept_or_said_to_be_missing(tmp_path: Path) -> None:
+    def heard(strokes: list[int], level: int) -> list[str]:
+        archive = Archive(tmp_path, is_written=True)
+        keeper = Keeper(archive)
+        for number in strokes:
+            keeper.take(stroke(number))
+        keeper.take(finding_report(SUMMARY, FINDING)._replace(valve=VALVE))
+        keeper.take(status("Health", level, "said", 60.0 * strokes[-1]))
+        keeper.write()
+        return [row["message"] for row in archive.read("alarms", VALVE)]
+
+    assert heard([3, 4, 5], 1) == ["said"], "what was before the first start is not missed"
+    assert heard([4, 5, 6, 7], 1) == ["said"], "a monitor says its last strokes, its finding and its state again"
+    assert heard([7, 10], 0) == ["said", "strokes 8 to 9 are missing: no report was heard", "said"]
+    archive = Archive(tmp_path)
+    assert [row["number"] for row in archive.read("strokes", VALVE)] == [3, 4, 5, 6, 7, 10]
+    assert len(archive.read("findings", VALVE)) == 1
+    restarted = [stroke(number)._replace(time=START + timedelta(hours=1, minutes=number)) for number in (0, 1, 3)]
+    keeper = Keeper(Archive(tmp_path, is_written=True))
+    for report in restarted:
+        keeper.take(report)
+    keeper.write()
+    (missing,) = archive.read("alarms", VALVE, START + timedelta(hours=1))
+    assert (missing["alarm_class"], missing["message"]) == ("missing", "stroke 2 is missing: no report was heard")
+
+
 def test_rows_wait_while_the_archive_cannot_be_written(tmp_path: Path) -> None:
     archive = Archive(tmp_path, is_written=True)
     keeper, other = Keeper(archive), sqlite3.connect(tmp_path / "archive.sqlite")
@@ -92,7 +118,7 @@ def message_of(values: dict[str, str], words: str = "") -> DiagnosticArray:
 
 @pytest.mark.ros
 def test_what_a_monitor_said_is_read_after_the_node_has_gone(probe: Probe, tmp_path: Path) -> None:
-    strokes = probe.talker("/monitor/stroke_report", DiagnosticArray)
+    strokes = probe.talker("/monitor/stroke_report", DiagnosticArray, LATCHED)
     finding = probe.talker("/monitor/finding", DiagnosticArray, LATCHED)
     answers = probe.talker("/opcua/alarms", DiagnosticArray)
     answer = {"valve": "/valve", "user": "Bob", "comment": "seen"}

@@ -15,6 +15,8 @@ from types import FrameType
 _PROGRAMS = ("_node", "command_profile", "nodes/__main__.py", "station/__main__.py")
 """What the first word of a program's command line ends in; others that import this keep their signals."""
 
+_NUMBERS = (signal.SIGINT, signal.SIGTERM)
+
 
 class StopRequest:
     """Whether the main thread shall end its work, and why.
@@ -54,7 +56,7 @@ class Signals:
     def __init__(self, code: int) -> None:
         self.stop: StopRequest | None = None
         self._code = code
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in _NUMBERS:
             signal.signal(number, self._take)
 
     def _take(self, number: int, frame: FrameType | None) -> None:
@@ -64,11 +66,12 @@ class Signals:
 
     @staticmethod
     def pass_over() -> None:
-        """Pass over SIGINT from now on: Ctrl-C reaches a node of `ros2 launch` twice.
+        """Pass over both from now on: Ctrl-C reaches a node of `ros2 launch` twice, and a supervisor may ask again.
 
-        While Python ends, the second one would end the process with code −2: it takes other handlers out before.
+        While Python ends, the second one would end the process with code −2 or −15: it takes other handlers out before.
         """
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        for number in _NUMBERS:
+            signal.signal(number, signal.SIG_IGN)
 
 
 if sys.argv[0].endswith(_PROGRAMS):

@@ -114,6 +114,11 @@ class Archive:
         )  # fmt: skip
         return [dict(zip(columns, (_time(row[0]), *row[1:]), strict=True)) for row in rows]
 
+    def last(self, kind: Kind, valve: str, column: str) -> Any:
+        """A value of the last row of a valve, in order of time; None where there is none."""
+        rows = self._ask(f"SELECT {column} FROM {kind} WHERE valve=? ORDER BY time DESC, rowid DESC LIMIT 1", valve)
+        return rows[0][0] if rows else None
+
     def count(self, kind: Kind, valve: str, since: datetime | None = None) -> int:
         """How many rows of a valve there are from a time on (that one too)."""
         first = "" if since is None else _text(since)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Sequence
-from datetime import datetime, timezone
+from dataclasses import dataclass
+from datetime import datetime, timedelta, timezone
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -28,12 +29,34 @@ SERVICE: Final = "service"
 """The class of a row of alarms that says that a person has serviced the valve."""
 ANSWER: Final = "answer"
 """The class of a row of alarms that says what a person has done to an alarm over OPC UA."""
+MISSING: Final = "missing"
+"""The class of a row of alarms that says which strokes the archive has not heard of."""
+_RESOLUTION: Final = timedelta(microseconds=1)
+"""Of a time in the archive."""
 _CLASSES: Final = {"Health": "health", "Driver": "driver"}
 """Class of alarms by the group of figures that has their level: of the valve, and of its own node."""
 
 
+@dataclass
+class _Kept:
+    """What the archive has of a valve, with the rows that wait.
+
+    Attributes:
+        stroke: number of the last stroke; None without any. strokes: since the last service, or at all.
+        finding: the last summary. levels: the last level of each class of alarms.
+    """
+
+    stroke: int | None
+    strokes: int
+    finding: str
+    levels: dict[str, int]
+
+
 class Keeper:
     """Turns reports into rows of an archive, each thing once, and keeps the rows until they are written.
+
+    What was kept by earlier starts counts: a monitor says its last strokes and its finding again to an archive that was
+    not there.
 
     Args:
         archive: is written.
@@ -41,35 +64,44 @@ class Keeper:
 
     def __init__(self, archive: Archive) -> None:
         self._archive, self._waiting = archive, deque[Row](maxlen=_MOST_WAITING)
-        self._levels: dict[tuple[str, str], int] = {}
-        self._since_service: dict[str, int] = {}
-        self._findings: dict[str, str] = {}
+        self._valves: dict[str, _Kept] = {}
 
     def take(self, report: Report) -> None:
         """Keep what is new in a report."""
-        values, valve = report.values, report.valve
-        if "Stroke.Number" in values:
-            before = self.strokes_since_service(valve)
-            self._keep("strokes", report, _row("strokes", "Stroke", values))
-            self._since_service[valve] = before + 1
+        values, kept = report.values, self._kept(report.valve)
+        if isinstance(number := values.get("Stroke.Number"), int):
+            self._take_stroke(report, number)
         summary = values.get("Finding.Summary")
-        if isinstance(summary, str) and self._findings.get(valve) != summary:
-            self._findings[valve] = summary
+        if isinstance(summary, str) and kept.finding != summary:
+            kept.finding = summary
             self._keep("findings", report, _row("findings", "Finding", values))
         for group, of in _CLASSES.items():
             level = values.get(f"{group}.Level")
-            if isinstance(level, int) and self._levels.get((valve, group), 0) != level:
-                self._levels[valve, group] = level
+            if isinstance(level, int) and kept.levels.get(of, 0) != level:
+                kept.levels[of] = level
                 self._alarm(report, level, of, values.get(f"{group}.Message"))
         if "Answer.Message" in values:
             told = {"user": values["Answer.User"], "comment": values["Answer.Comment"]}
             self._alarm(report, values["Answer.Level"], ANSWER, values["Answer.Message"], told)
 
+    def _take_stroke(self, report: Report, number: int) -> None:
+        """Keep a stroke that was not, and note those before it that were not heard; a new monitor counts from 0."""
+        at_that_time = self._archive.read("strokes", report.valve, report.time, report.time + _RESOLUTION)
+        if number in [row["number"] for row in at_that_time]:
+            return
+        kept = self._kept(report.valve)
+        if kept.stroke is not None and number > (next_one := kept.stroke + 1 if number > kept.stroke else 0):
+            some = f"stroke {next_one} is" if number == next_one + 1 else f"strokes {next_one} to {number - 1} are"
+            self._alarm(report, 0, MISSING, f"{some} missing: no report was heard")
+        self._keep("strokes", report, _row("strokes", "Stroke", report.values))
+        kept.stroke = number
+        kept.strokes += 1
+
     def note_service(self, valve: str, at: datetime) -> str:
         """Record a service of a valve and count its strokes from 0 again; the record in words."""
         words = f"serviced after {self.strokes_since_service(valve)} strokes"
         self._alarm(Report(valve, at, {}), 0, SERVICE, words)
-        self._since_service[valve] = 0
+        self._kept(valve).strokes = 0
         return words
 
     def write(self) -> None:
@@ -84,10 +116,19 @@ class Keeper:
 
     def strokes_since_service(self, valve: str) -> int:
         """How many strokes of a valve were kept since it was serviced, or at all; earlier starts count too."""
-        if valve not in self._since_service:
-            services = [row["time"] for row in self._archive.read("alarms", valve) if row["alarm_class"] == SERVICE]
-            self._since_service[valve] = self._archive.count("strokes", valve, services[-1] if services else None)
-        return self._since_service[valve]
+        return self._kept(valve).strokes
+
+    def _kept(self, valve: str) -> _Kept:
+        if valve not in self._valves:
+            alarms = self._archive.read("alarms", valve)
+            services = [row["time"] for row in alarms if row["alarm_class"] == SERVICE]
+            self._valves[valve] = _Kept(
+                self._archive.last("strokes", valve, "number"),
+                self._archive.count("strokes", valve, services[-1] if services else None),
+                self._archive.last("findings", valve, "summary") or "",
+                {row["alarm_class"]: row["level"] for row in alarms},
+            )
+        return self._valves[valve]
 
     def _alarm(
         self, report: Report, level: object, of: str, message: object, more: dict[str, object] | None = None
