@@ -9,18 +9,18 @@ A monitor declares the valve that its parameter file describes, and hears the si
 place of a sensor's. What a parameter sets while the station runs is a fault to it.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
 
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
-from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from launch import LaunchContext, LaunchDescription
+from launch import LaunchDescription
+from valve_sim.nodes.launching import CONFIG, USE_SIM_TIME, description, node
 
 ARGUMENTS = {
     "tanks": ("tank_1,tank_2,tank_3", "namespaces of the tanks, with commas"),
     "config": (
-        str(Path(__file__).resolve().parents[1] / "config"),
+        str(CONFIG),
         "folder of the parameter files, each called as the last part of its tank's namespace: tank_1.yaml",
     ),
     "gas": ("false", "whether there is hydrogen before the valves: files gas_tank_1.yaml and so on"),
@@ -33,7 +33,7 @@ ARGUMENTS = {
     "log_level": ("info", "of all nodes: debug, info, warn, error or fatal"),
 }
 PARAMETERS = {
-    "use_sim_time": ("valve monitor opcua plc archive", "use_sim_time", "follow /clock"),
+    "use_sim_time": ("valve monitor opcua plc archive", "use_sim_time", USE_SIM_TIME["use_sim_time"]),
     "publish_rate": ("valve", "publish_rate", "Hz, of each valve"),
     "command_timeout": ("valve", "command_timeout", "s without a command, after which a valve closes by itself"),
     "commissioning_strokes": ("monitor", "commissioning_strokes", "so many first strokes are taken for healthy"),
@@ -42,9 +42,7 @@ PARAMETERS = {
     "plc_port": ("plc", "port", "TCP port of Modbus"),
     "archive_folder": ("archive", "folder", "folder of the archive"),
 }
-"""Of arguments that are parameters: the nodes, the parameter, and what it says.
-
-Without a value they are not set here, so that the parameter file counts."""
+"""Of arguments that are parameters: the nodes, the parameter, and what it says."""
 UNLESS_IN_FILE = {
     "valve": {"publish_rate": 500.0},
     # The noise is a laser's; simulated valves have none at all, and a monitor that knew it would warn of what no
@@ -55,9 +53,8 @@ UNLESS_IN_FILE = {
 RESPAWN_SECONDS = 2.0
 
 
-def nodes_of(context: LaunchContext) -> list[Node]:
+def nodes_of(given: Mapping[str, str]) -> list[Node]:
     """The nodes that these values of the arguments ask for."""
-    given = context.launch_configurations
     tanks = [tank.strip("/ ") for tank in given["tanks"].split(",") if tank.strip("/ ")]
     if not tanks:
         raise RuntimeError(f"tanks: found {given['tanks']!r}, expected namespaces such as tank_1,tank_2")
@@ -66,48 +63,31 @@ def nodes_of(context: LaunchContext) -> list[Node]:
     def is_on(name: str) -> bool:
         return given[name].lower() in ("true", "1")
 
-    def node(name: str, tank: str = "", file: Path | None = None, **parameters: object) -> Node:
+    def made(name: str, tank: str = "", file: Path | None = None, **fixed: object) -> Node:
         words = ["--log-level", given["log_level"]]
         for key, value in UNLESS_IN_FILE.get(name, {}).items():
-            words += ["-p", f"{key}:={value}"]  # before the file, which therefore counts
-        # As one of `parameters`, a file that is not there is only warned of, and the shipped valve started.
-        words += [] if file is None else ["--params-file", str(file)]
-        for argument, (names, key, _) in PARAMETERS.items():
-            if name in names.split() and given[argument]:
-                parameters[key] = LaunchConfiguration(argument)
-        return Node(
-            package="valve_sim",
-            executable=f"{name}_node",
-            name=name,
-            namespace=tank,
-            parameters=[parameters],
-            ros_arguments=words,
-            respawn=is_on("respawn"),
-            respawn_delay=RESPAWN_SECONDS,
-            output="screen",
-        )
+            words += ["-p", f"{key}:={value}"]
+        parameters = {
+            key: argument for argument, (of, key, _) in PARAMETERS.items() if name in of.split() and given[argument]
+        }
+        return node(name, tank, file, parameters, words, fixed, respawn=is_on("respawn"), respawn_delay=RESPAWN_SECONDS)
 
     nodes = []
     for tank in tanks:
         file = Path(given["config"]) / f"{'gas_' if is_on('gas') else ''}{tank.rpartition('/')[2]}.yaml"
-        nodes.append(node("valve", tank, file))
+        nodes.append(made("valve", tank, file))
         if is_on("monitors"):
             kept = {"state": str(Path(given["state"]) / f"{tank.replace('/', '_')}.json")} if given["state"] else {}
-            nodes.append(node("monitor", tank, file, **kept))
+            nodes.append(made("monitor", tank, file, **kept))
     if is_on("opcua"):
-        nodes.append(node("opcua", valves=valves, monitors=monitors))
+        nodes.append(made("opcua", valves=valves, monitors=monitors))
     if is_on("plc"):
-        nodes.append(node("plc", valves=valves))
+        nodes.append(made("plc", valves=valves))
     if is_on("archive"):
-        nodes.append(node("archive", valves=valves, monitors=monitors))
+        nodes.append(made("archive", valves=valves, monitors=monitors))
     return nodes
 
 
 def generate_launch_description() -> LaunchDescription:
     """A valve and a monitor for each tank, and what serves all of them."""
-    unset = "; empty: as the parameter file or the node has it"
-    told = {**ARGUMENTS, **{name: ("", words + unset) for name, (_, _, words) in PARAMETERS.items()}}
-    arguments = [
-        DeclareLaunchArgument(name, default_value=value, description=words) for name, (value, words) in told.items()
-    ]
-    return LaunchDescription([*arguments, OpaqueFunction(function=nodes_of)])
+    return description(ARGUMENTS, {name: words for name, (_, _, words) in PARAMETERS.items()}, nodes_of)
