@@ -212,7 +212,9 @@ class Sender:
         self._probe = probe
         self._surface = surface
         # Findings are latched: a subscriber that wants them so hears no other publisher.
-        self._good = probe.talker(surface.topic, surface.kind, LATCHED if surface.topic.endswith("/finding") else 10)
+        self._good = probe.talker(
+            surface.topic, surface.kind, LATCHED if surface.topic.endswith(("/finding", "/stroke_report")) else 10
+        )
         # A participant knows one type of a topic, so each wrong one has a participant of its own.
         self._strangers = [
             stranger(f"{kind.__name__.lower()}_on{surface.topic.replace('/', '_')}") for kind in surface.wrong_kinds
@@ -295,7 +297,7 @@ class Check:
         self._voltage = {name: probe.talker(f"/{name}/coil_voltage", Float64) for name in ("valve", "simulated")}
         self._samples = probe.talker("/valve/measured/joint_states", JointState)
         self._clock = probe.talker("/clock", Clock)
-        self._reports = probe.talker("/monitor/stroke_report", DiagnosticArray)
+        self._reports = probe.talker("/monitor/stroke_report", DiagnosticArray, LATCHED)
 
     def forget(self) -> None:
         """Empty the ears; the latched ones keep their last."""

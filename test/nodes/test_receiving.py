@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from nodes.ros import (
+    LATCHED,
     Float64,
     Parameter,
     QoSProfile,
@@ -211,13 +212,25 @@ def test_what_nobody_takes_is_bounded(
     assert (node.heard[0], node.heard[-1], len(node.heard)) == (5.0, 104.0, 100)
 
 
-def test_a_publisher_that_cannot_be_heard_is_counted(probe: Probe, hearing: Callable[..., Hearing]) -> None:
-    node = hearing()
-    source = node.inbox.subscribe(Float64, "~/volts", node.take, RELIABLE)
+@pytest.mark.parametrize(
+    ("asked", "offered", "mend"),
+    [
+        (RELIABLE, QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT), "(RELIABILITY)"),
+        (LATCHED, RELIABLE, "(DURABILITY) and cannot be heard; publish transient local"),
+    ],
+)
+def test_a_publisher_that_cannot_be_heard_is_counted(
+    probe: Probe, hearing: Callable[..., Hearing], monkeypatch: pytest.MonkeyPatch, asked: QoSProfile,
+    offered: QoSProfile, mend: str,
+) -> None:  # fmt: skip
+    node, said = hearing(), list[str]()
+    monkeypatch.setattr(node.node, "get_logger", lambda: SimpleNamespace(warning=said.append))
+    source = node.inbox.subscribe(Float64, "~/volts", node.take, asked)
     assert source.topic == "/heard/volts"
     assert source.incompatible_publishers == 0
-    probe.talker("volts", Float64, QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT))
+    probe.talker("volts", Float64, offered)
     assert probe.until(lambda: source.incompatible_publishers == 1)
+    assert probe.until(lambda: said) and mend in said[0]
 
 
 @pytest.mark.long

@@ -12,12 +12,12 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
 from valve_sim.nodes.node_clock import NodeClock
@@ -39,7 +39,7 @@ class Source:
 
     Attributes:
         known_types: of its publishers, which were warned of where they are not its own.
-        incompatible_publishers: how many offer best effort where this topic is subscribed to reliably.
+        incompatible_publishers: how many offer less than this topic is subscribed with, such as best effort.
     """
 
     def __init__(self, topic: str, message_type: type, take: Take) -> None:
@@ -149,22 +149,36 @@ class Inbox:
                 self._node.get_logger().warning(
                     f"{source.topic}: a publisher sends {other} and cannot be heard; publish {source.type}"
                 )
-            if source.subscription.qos_profile.reliability != ReliabilityPolicy.RELIABLE:
-                continue
             before = source.incompatible_publishers
-            source.incompatible_publishers = sum(
-                entry.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT for entry in found
-            )
+            lacking = [_lacking(entry.qos_profile, source.subscription.qos_profile) for entry in found]
+            source.incompatible_publishers = sum(map(bool, lacking))
             if source.incompatible_publishers > before:
+                wanted = next(filter(None, reversed(lacking)))
                 self._node.get_logger().warning(
-                    f"{source.topic}: a publisher offers an incompatible QoS (RELIABILITY) and cannot be heard; "
-                    "publish reliable, as this topic asks"
+                    f"{source.topic}: a publisher offers an incompatible QoS ({wanted.policy}) and cannot be heard; "
+                    f"publish {wanted.words}, as this topic asks"
                 )
 
     def _wake_executor(self) -> None:
         """Have the executor look again at what it waits for."""
         if self._node.executor is not None:
             self._node.executor.wake()
+
+
+class _Wanted(NamedTuple):
+    """What a publisher lacks: the policy of QoS, and what to publish."""
+
+    policy: str
+    words: str
+
+
+def _lacking(offered: QoSProfile, wanted: QoSProfile) -> _Wanted | None:
+    """What keeps a publisher from being heard; None for nothing."""
+    if (offered.reliability, wanted.reliability) == (ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE):
+        return _Wanted("RELIABILITY", "reliable")
+    if (offered.durability, wanted.durability) == (DurabilityPolicy.VOLATILE, DurabilityPolicy.TRANSIENT_LOCAL):
+        return _Wanted("DURABILITY", "transient local")
+    return None
 
 
 def _no_events() -> SubscriptionEventCallbacks:
