@@ -40,6 +40,7 @@ from std_msgs.msg import Bool, Float64, String, UInt8
 
 from benchmarks.common import resident
 from benchmarks.nodes.driver import ros
+from valve_sim.model.errors import ValveError
 from valve_sim.records.archive import Archive
 
 ROOT: Final = Path(__file__).resolve().parents[2]
@@ -392,8 +393,10 @@ class Check:
 
         def keeps() -> bool:
             self._now_and_then(report)
-            rows = Archive(self._folder / "archive").read("strokes", "/valve")
-            return any(row["time"].timestamp() > begun for row in rows)
+            with contextlib.suppress(ValveError):  # the node has not made it yet
+                rows = Archive(self._folder / "archive").read("strokes", "/valve")
+                return any(row["time"].timestamp() > begun for row in rows)
+            return False
 
         return self.probe.until(keeps, PATIENCE)
 

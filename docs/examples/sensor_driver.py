@@ -5,10 +5,13 @@
 /lab/laser (sensor_msgs/Range) is 12.5 mm where the valve is closed, and less as it opens.
 """
 
+import signal
+
 import rclpy
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState, Range
 
 CLOSED = 12.5e-3
@@ -29,8 +32,14 @@ class SensorDriver(Node):
 
 
 if __name__ == "__main__":
-    rclpy.init()
-    try:
-        rclpy.spin(SensorDriver())
-    except (KeyboardInterrupt, ExternalShutdownException):
-        rclpy.try_shutdown()
+    # Ctrl-C in a terminal comes a second time, from ros2 launch; rclpy's own handlers would end with exit code -2 then.
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    signals: list[int] = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda number, frame: signals.append(number))
+    executor = SingleThreadedExecutor()
+    executor.add_node(SensorDriver())
+    while not signals:
+        executor.spin_once(timeout_sec=0.1)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    rclpy.try_shutdown()

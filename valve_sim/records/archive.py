@@ -106,18 +106,18 @@ class Archive:
         Raises:
             ValveError: the file is damaged.
         """
-        columns = ("time", *COLUMNS[kind])
         first, last = "" if since is None else _text(since), _AFTER_MONTH if until is None else _text(until)
-        rows = self._ask(
-            f"SELECT {', '.join(columns)} FROM {kind} WHERE valve=? AND time>=? AND time<? ORDER BY time",
-            valve, first, last,
-        )  # fmt: skip
-        return [dict(zip(columns, (_time(row[0]), *row[1:]), strict=True)) for row in rows]
+        return self._rows(kind, "time>=? AND time<? ORDER BY time", valve, first, last)
 
-    def last(self, kind: Kind, valve: str, column: str) -> Any:
-        """A value of the last row of a valve, in order of time; None where there is none."""
-        rows = self._ask(f"SELECT {column} FROM {kind} WHERE valve=? ORDER BY time DESC, rowid DESC LIMIT 1", valve)
-        return rows[0][0] if rows else None
+    def last(self, kind: Kind, valve: str) -> dict[str, Any]:
+        """The last row of a valve in order of time; empty where there is none."""
+        rows = self._rows(kind, "TRUE ORDER BY time DESC, rowid DESC LIMIT 1", valve)
+        return rows[0] if rows else {}
+
+    def _rows(self, kind: Kind, which: str, valve: str, *values: object) -> list[dict[str, Any]]:
+        columns = ("time", *COLUMNS[kind])
+        rows = self._ask(f"SELECT {', '.join(columns)} FROM {kind} WHERE valve=? AND {which}", valve, *values)
+        return [dict(zip(columns, (_time(row[0]), *row[1:]), strict=True)) for row in rows]
 
     def count(self, kind: Kind, valve: str, since: datetime | None = None) -> int:
         """How many rows of a valve there are from a time on (that one too)."""

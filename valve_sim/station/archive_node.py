@@ -42,10 +42,12 @@ class _Kept:
     """What the archive has of a valve, with the rows that wait.
 
     Attributes:
+        earlier: time of the last stroke that an earlier start has kept; None without any.
         stroke: number of the last stroke; None without any. strokes: since the last service, or at all.
         finding: the last summary. levels: the last level of each class of alarms.
     """
 
+    earlier: datetime | None
     stroke: int | None
     strokes: int
     finding: str
@@ -86,10 +88,11 @@ class Keeper:
 
     def _take_stroke(self, report: Report, number: int) -> None:
         """Keep a stroke that was not, and note those before it that were not heard; a new monitor counts from 0."""
-        at_that_time = self._archive.read("strokes", report.valve, report.time, report.time + _RESOLUTION)
-        if number in [row["number"] for row in at_that_time]:
-            return
         kept = self._kept(report.valve)
+        if kept.earlier is not None and report.time <= kept.earlier:
+            at_that_time = self._archive.read("strokes", report.valve, report.time, report.time + _RESOLUTION)
+            if number in [row["number"] for row in at_that_time]:
+                return
         if kept.stroke is not None and number > (next_one := kept.stroke + 1 if number > kept.stroke else 0):
             some = f"stroke {next_one} is" if number == next_one + 1 else f"strokes {next_one} to {number - 1} are"
             self._alarm(report, 0, MISSING, f"{some} missing: no report was heard")
@@ -122,10 +125,12 @@ class Keeper:
         if valve not in self._valves:
             alarms = self._archive.read("alarms", valve)
             services = [row["time"] for row in alarms if row["alarm_class"] == SERVICE]
+            stroke, finding = self._archive.last("strokes", valve), self._archive.last("findings", valve)
             self._valves[valve] = _Kept(
-                self._archive.last("strokes", valve, "number"),
+                stroke.get("time"),
+                stroke.get("number"),
                 self._archive.count("strokes", valve, services[-1] if services else None),
-                self._archive.last("findings", valve, "summary") or "",
+                finding.get("summary") or "",
                 {row["alarm_class"]: row["level"] for row in alarms},
             )
         return self._valves[valve]
