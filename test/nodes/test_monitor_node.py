@@ -215,7 +215,7 @@ def test_bad_samples_are_counted_and_those_of_an_old_recording_warned_of(probe: 
         assert ears.input_counts() == (heard + 1, 3)
         assert probe.until(play)
         said = ended(process, signal.SIGINT)
-    assert "use_sim_time:=true, ros2 bag play --clock" in said
+    assert "use_sim_time:=true, ros2 bag play --clock-topics-all;" in said
 
 
 def joints(names: list[str], positions: list[float]) -> JointState:

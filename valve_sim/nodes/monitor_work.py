@@ -380,7 +380,8 @@ class StampCheck:
         mend = (
             "all must be stamped by /clock, or use_sim_time be false"
             if is_simulated
-            else "of a recording: use_sim_time:=true, ros2 bag play --clock; of another computer: set its clock (NTP)"
+            else "of a recording: use_sim_time:=true, ros2 bag play --clock-topics-all; of another computer: set its "
+            "clock (NTP)"
         )
         where = "behind" if least > 0.0 else "ahead of"
         return f"{topic} is stamped {_duration(abs(least))} {where} this node's clock, which times commands; {mend}"
