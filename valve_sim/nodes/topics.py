@@ -34,7 +34,9 @@ DEEP: Final = Qos(1000)
 SENSOR: Final = Qos(2000, is_reliable=False)
 """Best effort accepts sensors of either reliability; deep, because samples may come while the model compiles."""
 LOG: Final = Qos(100, is_latched=True)
-"""At least so deep: a recorder that comes late, or back, still gets what was said before."""
+"""At least so deep: a recorder that discovers the topic late still gets it from its beginning."""
+LAST_STROKES: Final = Qos(30, is_latched=True)
+"""For an archive that was not there. Where somebody floods the topic, it costs so many of the largest message."""
 
 
 class Topic(NamedTuple):
@@ -116,7 +118,7 @@ MONITOR: Final = (
     Topic("{sensors}/{end}", _PRESSURE, "in", "what a real valve's sensors say", "Pa", SENSOR),
     Topic("~/predicted/joint_states", _JOINTS, "out", "what the model says at each sample", _OF_JOINTS),
     Topic("~/residual", _FLOAT, "out", "measured less predicted position, or else current", "m or A"),
-    Topic("~/stroke_report", _DIAGNOSTICS, "out", "the figures of each stroke", qos=LOG),
+    Topic("~/stroke_report", _DIAGNOSTICS, "out", "the figures of each stroke", qos=LAST_STROKES),
     Topic("~/finding", _DIAGNOSTICS, "out", "what has changed, after an alarm", qos=LATCHED),
     Topic("/diagnostics", _DIAGNOSTICS, "out", "valve, model, input and fault isolation, at 1 Hz"),
     _service("~/recommission", "takes the next strokes as the new baseline"),

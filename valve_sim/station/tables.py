@@ -8,7 +8,7 @@ from typing import Final
 
 from valve_sim.model import ParameterError
 from valve_sim.nodes.parameters import NodeSettings, option
-from valve_sim.nodes.topics import LATCHED, LOG, RELIABLE, Qos, Topic
+from valve_sim.nodes.topics import LAST_STROKES, LATCHED, RELIABLE, Qos, Topic
 
 _DIAGNOSTICS: Final = "diagnostic_msgs/msg/DiagnosticArray"
 _FLOAT: Final = "std_msgs/msg/Float64"
@@ -31,7 +31,7 @@ LIVE: Final = (
 )
 """Topics of a valve that are published often; only the latest message counts."""
 ARCHIVE_TOPICS: Final = (
-    *(topic._replace(qos=LOG) if "stroke_report" in topic.name else topic for topic in SAID),
+    *(topic._replace(qos=LAST_STROKES) if "stroke_report" in topic.name else topic for topic in SAID),
     Topic("{alarms}", _DIAGNOSTICS, "in", "acknowledgements of alarms over OPC UA", qos=Qos(100)),
     Topic(
         "{valve}/serviced", "std_srvs/srv/Trigger", "service", "records a service; strokes count from 0 again",
