@@ -50,3 +50,11 @@ def test_a_question_whose_reply_is_lost_is_asked_again(
     with pytest.raises(ParameterError, match=f"^{says}$") if says else contextlib.nullcontext():
         remote.set({"valve.stroke": 1.2e-3})
     assert client.asked == asked
+
+
+def test_a_change_is_told_with_as_many_digits_as_show_it() -> None:
+    before = {"valve.pilot_mass": 0.109, "valve.attraction_polynomial": [1.0, 2.0], "valve.stroke": 1e-3}
+    after = {"valve.pilot_mass": 0.109000012, "valve.attraction_polynomial": [1.0, 2.5], "valve.stroke": 1e-3}
+    assert identification.change_lines(before, after, {}) == (
+        "valve.pilot_mass: 0.109 → 0.109000012 kg", "valve.attraction_polynomial: [1, 2] → [1, 2.5]",
+    )  # fmt: skip

@@ -56,6 +56,8 @@ _REQUESTS: Final = 4
 """Requests to a node that does not answer: a reply that is sent before DDS has matched its reader is lost."""
 _MOST_SHOWN: Final = 4
 """Numbers of a list in a line of the log."""
+_DIGITS: Final = (6, 9, 17)
+"""Of numbers in such a line: as few as show the change."""
 Values = dict[str, Any]
 """Flat parameter name to value."""
 
@@ -265,11 +267,14 @@ def change_lines(old: Values, new: Values, intervals: Mapping[str, Interval]) ->
             root, _, rest = name.partition(".")
             found = None if root == "tolerances" else intervals.get(name if root == "gas" else rest)
             interval = "" if found is None else f", 95 % interval {found.low:.6g} to {found.high:.6g}"
-            lines.append(f"{name}: {_short(old[name])} → {_short(value)} {unit_of(name)}".rstrip() + interval)
+            digits = next((few for few in _DIGITS if _short(old[name], few) != _short(value, few)), _DIGITS[-1])
+            change = f"{_short(old[name], digits)} → {_short(value, digits)}"
+            lines.append(f"{name}: {change} {unit_of(name)}".rstrip() + interval)
     return tuple(lines)
 
 
-def _short(value: object) -> str:
+def _short(value: object, digits: int) -> str:
     if isinstance(value, list):
-        return f"[{', '.join(map(_short, value))}]" if len(value) <= _MOST_SHOWN else f"{len(value)} numbers"
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+        shown = ", ".join(_short(one, digits) for one in value)
+        return f"[{shown}]" if len(value) <= _MOST_SHOWN else f"{len(value)} numbers"
+    return f"{value:.{digits}g}" if isinstance(value, float) else str(value)
