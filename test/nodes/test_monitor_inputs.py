@@ -22,8 +22,8 @@ ENDS = ("inlet_pressure", "demand_pressure")
 class Queue:
     """A subscription; its own handle, too."""
 
-    def __init__(self, message_type: type, topic: str) -> None:
-        self.msg_type, self.topic_name = message_type, topic
+    def __init__(self, message_type: type, topic: str, qos: Any) -> None:
+        self.msg_type, self.topic_name, self.qos_profile = message_type, topic, qos
         self.handle, self._waiting = self, deque[tuple[Any, dict[str, int]]]()
 
     def put(self, message: Any) -> None:
@@ -42,7 +42,7 @@ class Node:
         self.queues: dict[str, Queue] = {}
 
     def create_subscription(self, message_type: type, topic: str, callback: Any, qos: Any, **groups: Any) -> Queue:
-        self.queues[topic] = Queue(message_type, topic)
+        self.queues[topic] = Queue(message_type, topic, qos)
         return self.queues[topic]
 
     def create_timer(self, period: float, callback: Any, clock: Any) -> None:
