@@ -20,8 +20,7 @@ from nodes.ros import Float64, JointState, String
 from valve_sim.files.parameter_files import default_valve, load_valve
 from valve_sim.files.parameter_sections import read_sections
 from valve_sim.files.resources import config_path
-from valve_sim.identification.plants.valve import volts_at
-from valve_sim.identification.reporting.record_next import STROKE_LEVELS
+from valve_sim.identification.plants.valve import STROKE_LEVELS, volts_at
 from valve_sim.recordings import read_trace
 from valve_sim.recordings.synthetic import read_profile
 

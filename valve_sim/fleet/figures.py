@@ -16,10 +16,10 @@ import numpy as np
 from valve_sim.fleet.columns import BEFORE, MOTION, declared_quantities, effect_column
 from valve_sim.fleet.units import Row
 from valve_sim.identification.diagnosis.followed_positions import a_standard_error_apart
-from valve_sim.identification.fit.declared_values import declared_values, estimated_valve
+from valve_sim.identification.fit.declared_values import declared_values, estimate_of
 from valve_sim.identification.fit.result import Fit, fit
 from valve_sim.identification.fit.unknown import known, unknowns_of
-from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.identification.plants.protocol import Plant
 from valve_sim.model import DECLARED, Drive, EventKind, Valve, ValveError, published_times, simulate
 
 HELD: Final = 1.0
@@ -45,7 +45,7 @@ def motion(valve: Valve) -> tuple[float, ...]:
 _BACK: Final = (EventKind.SEATED, EventKind.BOUNCED_AT_SEAT)
 
 
-def motion_columns(result: Fit, plant: ValvePlant) -> Row:
+def motion_columns(result: Fit, plant: Plant) -> Row:
     """The motion of the fitted valve, with standard errors by the delta method, by column.
 
     Raises:
@@ -68,9 +68,9 @@ def motion_columns(result: Fit, plant: ValvePlant) -> Row:
     return found
 
 
-def estimates(result: Fit, plant: ValvePlant) -> Row:
+def estimates(result: Fit, plant: Plant) -> Row:
     """Every declared value and every effect of a fitted valve, with standard errors, by column."""
-    valve, found = estimated_valve(result, plant), dict[str, float | None]()
+    valve, found = plant.estimated(estimate_of(result)), dict[str, float | None]()
     for name, value in valve.declared().items():
         found[name] = value
     for effect, values in valve.effects.items():
@@ -102,7 +102,7 @@ def with_errors_of_stamps(declared: Fit) -> Fit:
     return fit(declared.problem, [*unknowns.base, *unknowns.known, *stamps], declared.values)
 
 
-def valve_columns(result: Fit, plant: ValvePlant) -> Row:
+def valve_columns(result: Fit, plant: Plant) -> Row:
     """Estimates and motion of a fitted valve, with standard errors, by column.
 
     Raises:

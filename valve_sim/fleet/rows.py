@@ -13,7 +13,6 @@ from valve_sim.identification.fit.budget import Budget
 from valve_sim.identification.fit.declared_values import declared_values, out_of_tolerance
 from valve_sim.identification.fit.residual_tests import adequacy
 from valve_sim.identification.fit.result import Fit, rmse
-from valve_sim.identification.plants.protocol import Plant
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.claims import summarise
 from valve_sim.model import Valve
@@ -40,7 +39,7 @@ def row_values(trace: Trace, diagnosis: Diagnosis, followed: Fit) -> Row:
         SimulationError: the corrected valve cannot be simulated at its reference voltage.
     """
     verdict, before, after = diagnosis.verdict, diagnosis.before, diagnosis.after
-    plant = _valve(diagnosis.plant)
+    plant = diagnosis.plant
     return {
         **_of_the_trace(trace),
         "verdict": verdict.kind,
@@ -62,7 +61,7 @@ def row_without_search(trace: Trace, followed: Fit) -> Row:
     Raises:
         SimulationError: the refitted valve cannot be simulated at its reference voltage.
     """
-    columns, left, error = valve_columns(followed, _valve(followed.problem.plant)), adequacy(followed), rmse(followed)
+    columns, left, error = valve_columns(followed, followed.problem.plant), adequacy(followed), rmse(followed)
     of_position: Row = {"noise": followed.problem.noise.sigma, "rmse_before": error, "rmse_after": error}
     return {
         **_of_the_trace(trace),
@@ -90,11 +89,6 @@ def _of_the_trace(trace: Trace) -> Row:
         "samples": len(trace.sample_times),
         "findings": [*trace.findings, *left_out_finding(trace)],
     }
-
-
-def _valve(plant: Plant) -> ValvePlant:
-    assert isinstance(plant, ValvePlant)
-    return plant
 
 
 def _errors_of_position(diagnosis: Diagnosis) -> Row:

@@ -18,8 +18,8 @@ from valve_sim.identification.diagnosis.experiment_design import (
 from valve_sim.identification.fit.problem import Problem
 from valve_sim.identification.fit.result import Fit
 from valve_sim.identification.plants.protocol import Experiment
-from valve_sim.identification.plants.valve import ValvePlant, volts_at
-from valve_sim.identification.reporting.record_next import STROKE_LEVELS, duration_of, profile_to_record, write_profile
+from valve_sim.identification.plants.valve import STROKE_LEVELS, ValvePlant, volts_at
+from valve_sim.identification.reporting.record_next import duration_of, profile_to_record, write_profile
 from valve_sim.model import EventKind, Valve, simulate
 from valve_sim.recordings import Trace
 from valve_sim.recordings.synthetic import read_profile
@@ -65,7 +65,7 @@ def test_the_advised_pulse_is_worth_what_it_promises(recommendation: Recommendat
 
 def test_the_file_to_record_next_is_worth_what_it_promises(recommendation: Recommendation, tmp_path: Path) -> None:
     """Recorded for real as the file says it, pulses and strokes reject the wrong one by what was promised, or more."""
-    profile = profile_to_record(recommendation, DECLARED)
+    profile = profile_to_record(recommendation, volts_at(DECLARED, STROKE_LEVELS))
     write_profile(tmp_path / "record_next.yaml", profile, recommendation, "by a test")
     drive = read_profile(tmp_path / "record_next.yaml")
     assert len(drive.times) == 2 * (recommendation.repeats + len(STROKE_LEVELS))
@@ -92,7 +92,9 @@ def test_without_a_telling_pulse_the_file_has_full_strokes_that_can_be_simulated
 ) -> None:
     """A 24 V coil never opens at what opens one of 9 V."""
     valve = DECLARED.with_values(reference_voltage=reference)
-    write_profile(tmp_path / "record_next.yaml", profile_to_record(None, valve), None, "by a test")
+    write_profile(
+        tmp_path / "record_next.yaml", profile_to_record(None, volts_at(valve, STROKE_LEVELS)), None, "by a test"
+    )
     drive = read_profile(tmp_path / "record_next.yaml")
     assert tuple(drive.volts[::2]) == volts_at(valve, STROKE_LEVELS)
     assert (min(drive.volts[::2]), max(drive.volts)) == (lowest, highest)
@@ -109,7 +111,12 @@ def test_no_profile_drives_a_coil_beyond_what_it_was_driven_with_below_its_refer
 ) -> None:
     """37 V for a coil that was driven with 12 V would burn it; what command_profile refuses by default is allowed."""
     valve = DECLARED.with_values(reference_voltage=reference)
-    write_profile(tmp_path / "record_next.yaml", profile_to_record(None, valve, driven), None, "by a test")
+    write_profile(
+        tmp_path / "record_next.yaml",
+        profile_to_record(None, volts_at(valve, STROKE_LEVELS, driven)),
+        None,
+        "by a test",
+    )
     volts = read_profile(tmp_path / "record_next.yaml").volts
     assert max(volts) == highest
     assert (" -p max_voltage:=38.0" in (tmp_path / "record_next.yaml").read_text()) == (highest > 30.0)

@@ -17,12 +17,13 @@ from identification.browser import CHROMIUM, Browser
 from identification.recordings import friction_found
 from valve_sim.files.parameter_files import load_valve
 from valve_sim.identification.diagnosis.run import Diagnosis
+from valve_sim.identification.plants.protocol import Plant
+from valve_sim.identification.plants.valve import STROKE_LEVELS
 from valve_sim.identification.reporting import strokes as curves
 from valve_sim.identification.reporting.claims import headline, summarise
 from valve_sim.identification.reporting.diagnosis_document import SHOWN_STROKES, diagnosis_document
 from valve_sim.identification.reporting.files import write_diagnosis
 from valve_sim.identification.reporting.page import write_page
-from valve_sim.identification.reporting.record_next import STROKE_LEVELS
 from valve_sim.identification.reporting.strokes import StrokeCurves, keep_extremes, strokes_of
 from valve_sim.model import CATALOGUE, ValveError
 from valve_sim.recordings.synthetic import read_profile
@@ -142,7 +143,9 @@ def test_commands_are_for_the_valve_that_was_diagnosed(diagnosis: Diagnosis, tmp
 
 
 class OtherMachine:
-    """A plant that is no valve."""
+    """A plant that is no valve: it has no corrected file, and no voltages drive it."""
+
+    wording, stroke_voltages, save_corrected = Plant.wording, Plant.stroke_voltages, Plant.save_corrected
 
     def __init__(self, plant: Any) -> None:
         self._plant = plant

@@ -3,36 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import NamedTuple, TypeGuard
 
 import numpy as np
 
 from valve_sim.identification.fit.result import Fit
 from valve_sim.identification.plants.covariance_root import covariance_root
-from valve_sim.identification.plants.protocol import Array, Plant
-from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.identification.plants.protocol import Followed
 from valve_sim.model import SimulationError
-from valve_sim.recordings import Trace
 
 
-class FollowedPosition(NamedTuple):
-    """What a fit says of the pilot plunger's position in one recording.
-
-    Attributes:
-        trace: the recording. position: (n,) m, at the samples of its current. stderr: (n,) m.
-    """
-
-    trace: Trace
-    position: Array
-    stderr: Array
-
-
-def follows_positions(plant: Plant) -> TypeGuard[ValvePlant]:
-    """Whether a plant is a valve of which some recording has no positions."""
-    return isinstance(plant, ValvePlant) and not all(trace.has_positions for trace in plant.traces)
-
-
-def followed_positions(found: Fit, rivals: Sequence[tuple[Fit, float]] = ()) -> list[FollowedPosition]:
+def followed_positions(found: Fit, rivals: Sequence[tuple[Fit, float]] = ()) -> list[Followed]:
     """Positions by the fitted model, with standard errors by the delta method, of all recordings without positions.
 
     With the covariance C = S Sᵀ of what was estimated, the variance of x is Σ_j ((x(θ + s_j) − x(θ − s_j)) / 2)²: each
@@ -41,28 +21,24 @@ def followed_positions(found: Fit, rivals: Sequence[tuple[Fit, float]] = ()) -> 
     positions x_k, add Σ_k w_k (x_k − x)² / (1 + Σ_k w_k).
     """
     plant = found.problem.plant
-    if not follows_positions(plant):
-        return []
     middle = plant.followed_positions(found.values)
-    squares = {index: np.zeros(len(position)) for index, position in middle.items()}
+    squares = [np.zeros(len(own.position)) for own in middle]
     for pair in a_standard_error_apart(found):
         try:
             ahead, behind = (plant.followed_positions(values) for values in pair)
         except SimulationError:
             continue
-        for index in middle:
-            squares[index] += np.square(0.5 * (ahead[index] - behind[index]))
+        for place, (one, other) in enumerate(zip(ahead, behind, strict=True)):
+            squares[place] += np.square(0.5 * (one.position - other.position))
     total = 1.0 + sum(weight for _, weight in rivals)
     for rival, weight in rivals:
         try:
             theirs = plant.followed_positions(rival.values)
         except SimulationError:
             continue
-        for index in middle:
-            squares[index] += weight / total * np.square(theirs[index] - middle[index])
-    return [
-        FollowedPosition(plant.traces[index], position, np.sqrt(squares[index])) for index, position in middle.items()
-    ]
+        for place, (one, other) in enumerate(zip(theirs, middle, strict=True)):
+            squares[place] += weight / total * np.square(one.position - other.position)
+    return [own._replace(stderr=np.sqrt(square)) for own, square in zip(middle, squares, strict=True)]
 
 
 def a_standard_error_apart(found: Fit) -> Iterator[tuple[Mapping[str, float], Mapping[str, float]]]:

@@ -7,10 +7,9 @@ from collections.abc import Mapping
 from typing import Final, NamedTuple
 
 from valve_sim.identification.diagnosis.identify import signal_errors
-from valve_sim.identification.fit.declared_values import estimated_valve
+from valve_sim.identification.fit.declared_values import estimate_of
 from valve_sim.identification.fit.intervals import Interval
 from valve_sim.identification.fit.result import Fit
-from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import Valve
 
 WIDEST: Final = 1.0
@@ -41,14 +40,13 @@ def handed_on(result: Fit, intervals: Mapping[str, Interval]) -> HandedOn:
         SimulationError: the valve cannot be simulated with these values.
     """
     plant = result.problem.plant
-    assert isinstance(plant, ValvePlant)
     known = determined(result, intervals)
     held = tuple(name for name in (*result.free, *_of_machine(result)) if name not in known)
     if not set(known) & set(result.free):
-        return HandedOn(plant.valve, held, f"the recording does not determine {', '.join(result.free)}")
+        return HandedOn(plant.with_values({}), held, f"the recording does not determine {', '.join(result.free)}")
     refitted = tuple(name for name in held if name in result.free)
     if not refitted:
-        return HandedOn(estimated_valve(result, plant), (), "")
+        return HandedOn(plant.estimated(estimate_of(result)), (), "")
     values = {name: result.values[name] for name in known}
     rest = {own.name: own.mean for own in result.nuisances if own.is_of_machine and own.name not in known}
     recording = {own.name: result.values[own.name] for own in result.nuisances if not own.is_of_machine}

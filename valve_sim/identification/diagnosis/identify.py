@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from valve_sim.identification.fit.declared_values import DeclaredValue, declared_values, estimated_valve
+from valve_sim.identification.fit.declared_values import DeclaredValue, declared_values, estimate_of
 from valve_sim.identification.fit.findings import Finding, findings, leaves_more_than_noise
 from valve_sim.identification.fit.fitter import Fitter
 from valve_sim.identification.fit.gram import sum_squares
@@ -104,9 +104,7 @@ class Identification:
         Raises:
             TypeError: the machine is no valve.
         """
-        if not isinstance(self.plant, ValvePlant):
-            raise TypeError("only an identification of a valve has an identified valve")
-        return estimated_valve(self.fit, self.plant)
+        return self.plant.estimated(estimate_of(self.fit))
 
     @property
     def primary_channel(self) -> Channel:

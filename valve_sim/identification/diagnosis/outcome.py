@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 from valve_sim.identification.diagnosis.experiment_design import Recommendation
 from valve_sim.identification.fit.correction import Correction
 from valve_sim.identification.fit.curves import Unexplained
-from valve_sim.identification.fit.declared_values import DeclaredValue, declared_values, estimated_valve
+from valve_sim.identification.fit.declared_values import DeclaredValue, declared_values, estimate_of
 from valve_sim.identification.fit.detection_limits import Limits
 from valve_sim.identification.fit.grades import Grade
 from valve_sim.identification.fit.intervals import Interval
@@ -24,7 +24,6 @@ from valve_sim.identification.fit.residual_tests import Adequacy
 from valve_sim.identification.fit.result import Fit
 from valve_sim.identification.plants.protocol import Array, Channel, Plant, primary_channels
 from valve_sim.identification.plants.stroke_choice import StrokeChoice
-from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import Valve
 
 PREDICTS_BETTER: Final = 10.0
@@ -212,9 +211,7 @@ class Diagnosis:
         Raises:
             TypeError: the plant is not a valve.
         """
-        if not isinstance(self.plant, ValvePlant):
-            raise TypeError("only a diagnosis of a valve has a corrected valve")
-        return estimated_valve(self.after.fit, self.plant)
+        return self.plant.estimated(estimate_of(self.after.fit))
 
     @functools.cached_property
     def recording(self) -> dict[str, tuple[RecordedError, ...]]:

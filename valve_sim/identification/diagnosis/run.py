@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.identification.diagnosis.experiment_design import Recommendation, recommend
-from valve_sim.identification.diagnosis.followed_positions import follows_positions
 from valve_sim.identification.diagnosis.outcome import Candidate, Diagnosis, Rival, State, Verdict, Worth
 from valve_sim.identification.fit.budget import Budget
 from valve_sim.identification.fit.correction import FALLS, Correction, correct, is_curve
@@ -430,7 +429,7 @@ class DiagnosisSession:
 
         Beside the declared model, which stands where something unnamed acts, the nearest names compete as well.
         """
-        if not follows_positions(self._plant) or decision.kind == "none":
+        if not self._plant.follows_positions or decision.kind == "none":
             return ()
         near, is_declared = self._near(decision), decision.kind == "unknown"
         best, found = posterior.shares[() if is_declared else decision.names].total, []

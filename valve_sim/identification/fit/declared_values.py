@@ -1,22 +1,16 @@
-"""Estimates of declared values that have a tolerance, and the valve with these."""
+"""Estimates of declared values that have a tolerance."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from valve_sim.identification.fit.result import Fit
-from valve_sim.identification.plants.protocol import Array, Nuisance, internal_slope
-from valve_sim.identification.plants.tolerances import MAIN_MASS, of_gas
-from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.model import CATALOGUE, DECLARED, Parameter, Tolerances, Valve
-from valve_sim.model.gas import GAS
-from valve_sim.model.parameters import POLYNOMIAL_NAMES
-from valve_sim.model.tolerances import TOLERATED, tolerance_rule
+from valve_sim.identification.plants.protocol import Array, Estimate, Nuisance, internal_slope
+from valve_sim.identification.plants.tolerances import MAIN_MASS
 
 BEYOND: Final = 3.0
 """Tolerances beyond which a declared value is reported as off, which chance alone causes once in 370."""
@@ -99,24 +93,9 @@ def out_of_tolerance(values: Sequence[DeclaredValue]) -> list[str]:
     return [value.name for value in values if value.is_out]
 
 
-def estimated_valve(result: Fit, plant: ValvePlant) -> Valve:
-    """The valve with the values of a fit; its tolerances are their standard errors, and a covariance.
-
-    A valve whose declared values were exact stays one of exact values.
-    """
-    valve = plant.with_values(result.values)
-    if plant.valve.tolerances.is_exact:
-        return valve
-    names, covariance = plant.propagated(*_machine(result))
-    sigmas = dict(zip(names, np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist(), strict=True))
-    if "moving_mass" in names:
-        sigmas["moving_mass"] = _of_the_difference(names, covariance)
-    declared = {name: sigmas[name] for name in TOLERATED if _is_tolerance(sigmas.get(name, 0.0), DECLARED[name])}
-    tolerances = Tolerances(
-        declared, _of_the_polynomial(names, covariance), _of_effects(sigmas, valve), _of_gas(sigmas),
-        plant.valve.tolerances.sensor,
-    )  # fmt: skip
-    return replace(valve, tolerances=tolerances)
+def estimate_of(result: Fit) -> Estimate:
+    """What a fit says of the machine."""
+    return Estimate(result.values, *_machine(result))
 
 
 def _machine(result: Fit) -> tuple[list[str], Array]:
@@ -130,46 +109,3 @@ def _machine(result: Fit) -> tuple[list[str], Array]:
     return [result.names[at] for at in own], np.where(np.isfinite(covariance), covariance, 0.0) * np.outer(
         slopes, slopes
     )
-
-
-def _is_tolerance(sigma: float, rule: Parameter) -> bool:
-    return 0.0 < sigma <= tolerance_rule(rule).upper
-
-
-def _of_gas(sigmas: Mapping[str, float]) -> dict[str, float]:
-    """Of the numbers of the group `gas` that were estimated."""
-    found = {name: sigmas.get(of_gas(name), 0.0) for name in GAS}
-    return {name: sigma for name, sigma in found.items() if _is_tolerance(sigma, GAS[name])}
-
-
-def _of_the_difference(names: Sequence[str], covariance: Array) -> float:
-    """Standard error of moving_mass − pilot_mass."""
-    moving = names.index("moving_mass")
-    slopes = np.zeros(len(names))
-    slopes[moving] = 1.0
-    if "pilot_mass" in names:
-        slopes[names.index("pilot_mass")] = -1.0
-    return math.sqrt(max(0.0, float(slopes @ covariance @ slopes)))
-
-
-def _of_the_polynomial(names: Sequence[str], covariance: Array) -> tuple[tuple[float, ...], ...] | None:
-    """(4, 4), or None where its terms were not estimated."""
-    known = [name for name in POLYNOMIAL_NAMES if name in names]
-    if not known:
-        return None
-    whole = np.zeros((len(POLYNOMIAL_NAMES),) * 2)
-    into, of = [POLYNOMIAL_NAMES.index(name) for name in known], [names.index(name) for name in known]
-    whole[np.ix_(into, into)] = covariance[np.ix_(of, of)]
-    return tuple(tuple(row) for row in (0.5 * (whole + whole.T)).tolist())
-
-
-def _of_effects(sigmas: Mapping[str, float], valve: Valve) -> dict[str, dict[str, float]]:
-    """Of the effects that the valve has on, by name and parameter."""
-    found: dict[str, dict[str, float]] = {}
-    for name, sigma in sigmas.items():
-        effect, dot, parameter = name.partition(".")
-        if dot and effect in valve.effects and CATALOGUE[effect].named:
-            rule = tolerance_rule(CATALOGUE[effect].parameter(parameter))
-            if 0.0 < sigma <= rule.upper and math.isfinite(sigma):
-                found.setdefault(effect, {})[parameter] = sigma
-    return found

@@ -23,7 +23,6 @@ from valve_sim.identification.fit.result import Fit
 from valve_sim.identification.fit.unknown import GONE, Group
 from valve_sim.identification.plants.effect_titles import inside_sentence, title_of
 from valve_sim.identification.plants.protocol import Array, Plant
-from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.plants.variation import VARIATION, stroke_of
 
 PICTURED: Final = 200
@@ -82,8 +81,6 @@ class RecordedError:
         return self.probability >= LIKELY
 
 
-CLOCKS_OF_TABLES: Final = ("time column", "rate")
-"""`Trace.clock` of recordings whose commands and samples have one clock."""
 ONE_CLOCK: Final = "look for a delay of the sensor or of the driver: commands and samples of a table share one clock"
 
 
@@ -143,7 +140,7 @@ def _of_clocks(result: Fit) -> Iterator[RecordedError]:
 
 def _with_advice_on_clock(entry: RecordedError, plant: Plant) -> RecordedError:
     """Of a table, whose commands and samples share a clock, another advice than to synchronise two."""
-    if isinstance(plant, ValvePlant) and plant.traces[entry.recording].clock in CLOCKS_OF_TABLES:
+    if plant.has_one_clock(entry.recording):
         return replace(entry, what_to_do=ONE_CLOCK)
     return entry
 

@@ -12,11 +12,13 @@ import math
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from valve_sim.files.changed_plants import changed_plant, save_plant
 from valve_sim.files.plant_entries import PlantFileError
 from valve_sim.files.plant_files import InputEntry, OutputEntry, PlantFile, inlined
 from valve_sim.files.recording_map import MapError
@@ -26,9 +28,11 @@ from valve_sim.identification.plants.protocol import (
     Channel,
     Direction,
     EffectChoice,
+    Estimate,
     Nuisance,
     Plant,
     Sensitivities,
+    Wording,
 )
 from valve_sim.model.core.hybrid.system import EquationsError
 from valve_sim.model.core.own.equations import Equations
@@ -222,6 +226,22 @@ class OwnPlant(Plant):
         shown, columns = self._shown(values, directions)
         known = [self._delaying.isdisjoint(direction.slopes) for direction in directions]
         return Sensitivities(columns, np.array(known, dtype=bool), shown)
+
+    @property
+    def wording(self) -> Wording:
+        """What its report calls what belongs to it."""
+        return Wording(
+            unknown_noise="If a data sheet has it, declare it (noise: of an output).", corrected="a plant file",
+            uses=("valve-sim validate ANOTHER_RECORDING --plant {file}{options}",),
+        )  # fmt: skip
+
+    def save_corrected(self, path: Path, estimate: Estimate, effects: Sequence[str], provenance: str) -> bool:
+        """Write its file, with those of the effects among the equations that are its own."""
+        variances = np.maximum(np.diag(estimate.covariance), 0.0).tolist()
+        errors = {name: math.sqrt(own) for name, own in zip(estimate.names, variances, strict=True)}
+        effects = [name for name in effects if name in self.file.effects]
+        save_plant(path, changed_plant(self.file, estimate.values, errors, effects), provenance)
+        return True
 
     def check_free(self, names: Sequence[str]) -> None:
         """Check that these parameters, or `<effect>.<parameter>`, can be freed.

@@ -9,11 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from valve_sim.model import Valve
 from valve_sim.model.errors import SimulationError
 from valve_sim.model.parameters import Parameter
 
@@ -340,6 +342,65 @@ GENERIC_ADVICE: Final = Advice(
 )
 
 
+class Wording(NamedTuple):
+    """What a report calls what belongs to a plant.
+
+    Attributes:
+        part: a group of a channel. refitted: the declared model with its base refitted.
+        unknown_noise: what to do if the noise of a sensor cannot be seen, a sentence; empty: nothing.
+        says_exact: whether a report says that no declared value has a tolerance.
+        corrected: the kind of file that `save_corrected` writes; empty: it writes none.
+        uses: commands with that file, {file}, and with options for recordings like these, {options}.
+    """
+
+    part: str = "part"
+    refitted: str = "the declared model, refitted,"
+    unknown_noise: str = ""
+    says_exact: bool = False
+    corrected: str = ""
+    uses: tuple[str, ...] = ()
+
+
+class Meaning(NamedTuple):
+    """What an effect is on a real machine, in sentences; empty where nothing is known.
+
+    Attributes:
+        severity: its size beside something familiar. cause: what it is. advice: what to do.
+    """
+
+    severity: str = ""
+    cause: str = ""
+    advice: str = ""
+
+
+class Estimate(NamedTuple):
+    """What a fit says of a machine.
+
+    Attributes:
+        values: of all that was estimated, by name.
+        names: (k,) of those that are of the machine. covariance: (k, k) of their values, 0 where it is not known.
+    """
+
+    values: Mapping[str, float]
+    names: Sequence[str]
+    covariance: Array
+
+
+class Followed(NamedTuple):
+    """The positions that a model computes for a recording in which none were measured.
+
+    Attributes:
+        source: of the recording. times: (n,) s. strokes: (n,) number of the stroke of each, from 0 on.
+        position, stderr: (n,) m; a plant gives no errors.
+    """
+
+    source: str
+    times: Array
+    strokes: NDArray[np.integer]
+    position: Array
+    stderr: Array
+
+
 class Plant:
     """A machine with its measured data: what it inherits from here it has nothing of, and of the rest it states it."""
 
@@ -472,6 +533,78 @@ class Plant:
     def condition_of(self, recording: int, group: int) -> Condition | None:
         """The condition under which a stroke was made; None where that is not known."""
         return None
+
+    # -- what reports and corrected models need beside the fit -------------------------------------------------------
+
+    @property
+    def wording(self) -> Wording:
+        """What reports call what belongs to it."""
+        return Wording()
+
+    def meaning(self, effect: str, values: Mapping[str, float]) -> Meaning:
+        """What one of its effects is on a real machine; values: of the effect's parameters that were estimated."""
+        return Meaning()
+
+    @property
+    def travel(self) -> float | None:
+        """Position at the stop, m; None where there is none."""
+        return None
+
+    def dampings_at(self, positions: Array) -> NDArray[np.int64]:
+        """(n,) which of its dampings acts at each of these positions, m."""
+        return np.zeros(len(positions), dtype=np.int64)
+
+    def currents_at(self, times: Array, values: Mapping[str, float]) -> Array:
+        """(n,) current over rated current at the times of a channel, s; 1 where it is not known."""
+        return np.ones(len(times))
+
+    @property
+    def follows_positions(self) -> bool:
+        """Whether positions that were not measured follow from what was."""
+        return False
+
+    def followed_positions(self, values: Mapping[str, float]) -> Sequence[Followed]:
+        """The positions of each recording that has none, if they follow; values: see `predict`.
+
+        Raises:
+            SimulationError: the machine cannot be simulated with these values.
+        """
+        return ()
+
+    def has_one_clock(self, recording: int) -> bool:
+        """Whether commands and samples of a recording are known to share a clock."""
+        return False
+
+    def stroke_voltages(self, values: Mapping[str, float]) -> tuple[float, ...]:
+        """Voltages of full strokes that should be recorded next, V; none where it is driven by something else."""
+        return ()
+
+    def with_values(self, values: Mapping[str, float]) -> Valve:
+        """The valve that values describe; its tolerances stay as declared.
+
+        Raises:
+            TypeError: the machine is no valve.
+        """
+        raise TypeError("the machine is no valve")
+
+    def estimated(self, estimate: Estimate) -> Valve:
+        """The valve with the values of a fit, whose errors are its tolerances.
+
+        Raises:
+            TypeError: the machine is no valve.
+        """
+        raise TypeError("the machine is no valve")
+
+    def save_corrected(self, path: Path, estimate: Estimate, effects: Sequence[str], provenance: str) -> bool:
+        """Write the file of the machine with the values of a fit; whether there is such a file.
+
+        Args:
+            effects: names of those to take in. provenance: where the values are from, for its comments.
+
+        Raises:
+            ValveError: it cannot be written.
+        """
+        return False
 
 
 def finite_prediction(plant: Plant, values: Mapping[str, float]) -> list[Array]:

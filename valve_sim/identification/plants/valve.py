@@ -8,12 +8,15 @@ import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.files.channels import SIGNALS
+from valve_sim.files.parameter_files import save_valve
+from valve_sim.identification.plants.estimated_valve import estimated_valve
 from valve_sim.identification.plants.protocol import (
     NO_CONTACTS,
     Advice,
@@ -22,13 +25,17 @@ from valve_sim.identification.plants.protocol import (
     Condition,
     Direction,
     EffectChoice,
+    Estimate,
     Experiment,
+    Followed,
     ForceMap,
+    Meaning,
     Nuisance,
     Piece,
     Plant,
     Sensitivities,
     Sensor,
+    Wording,
 )
 from valve_sim.identification.plants.recording_errors import (
     ErringRecording,
@@ -54,14 +61,18 @@ from valve_sim.identification.plants.valve_sensors import (
     with_usable_current,
     without_pressure,
 )
-from valve_sim.model import CATALOGUE, Drive, Parameter, Tag, Valve
+from valve_sim.model import CATALOGUE, Drive, Parameter, Tag, Valve, simulate
 from valve_sim.model.effects import FORCE_MAP_COEFFICIENTS, FORCE_MAP_VARIABLES, is_damping
-from valve_sim.recordings import Signal, Trace
+from valve_sim.recordings import Signal, Trace, stroke_numbers
 
 LOWEST_LEVEL, HIGHEST_LEVEL = 7.5 / 9.0, 14.0 / 9.0
 """Shares of the reference voltage: the range in which such a valve is driven, 7.5 to 14 V where it is 9 V."""
 PULSE_LEVELS: Final = (LOWEST_LEVEL, 1.0, 11.0 / 9.0, HIGHEST_LEVEL)
 """Voltages of single pulses, of the reference voltage."""
+STROKE_LEVELS: Final = (
+    LOWEST_LEVEL, 8.5 / 9.0, 9.5 / 9.0, 10.5 / 9.0, 11.5 / 9.0, 12.5 / 9.0, 13.5 / 9.0, HIGHEST_LEVEL,
+)  # fmt: skip
+"""Voltages of full strokes, of the reference voltage."""
 PULSE_DURATIONS: Final = (3e-3, 4e-3, 5e-3, 8e-3, 30e-3)
 """s: pulses of 3 to 5 ms lift the valve partly, longer ones fully."""
 PULSE_START, PULSE_RECORDING = 5e-3, 70e-3
@@ -70,6 +81,8 @@ PULSE_START, PULSE_RECORDING = 5e-3, 70e-3
 
 SHORTEST_SPAN: Final = 1e-6
 """m, of a force map over x, of one plunger that does not move."""
+CLOCKS_OF_TABLES: Final = ("time column", "rate")
+"""Of traces, `clock` where commands and samples share one."""
 GAS_STEP: Final = 2e-5
 """Prior scales. Along the usual step the pressures come to be equal so much later that it is more than the main plunger
 takes to open: a clogged orifice was given a twentieth of its standard error."""
@@ -277,18 +290,85 @@ class ValvePlant(Plant):
         """Declared scalars and their covariance, from those of what was estimated."""
         return self._model.propagated(names, covariance)
 
-    def followed_positions(self, values: Mapping[str, float]) -> dict[int, Array]:
-        """The positions that follow from the current, m, at its samples, by the number of each trace without positions.
+    def estimated(self, estimate: Estimate) -> Valve:
+        """The valve with the values of a fit, whose errors are its tolerances."""
+        return estimated_valve(self._model, estimate)
+
+    def save_corrected(self, path: Path, estimate: Estimate, effects: Sequence[str], provenance: str) -> bool:
+        """Write a parameter file; effects are in it that were estimated."""
+        save_valve(path, self.estimated(estimate), provenance)
+        return True
+
+    @property
+    def wording(self) -> Wording:
+        """A valve moves in strokes, and its corrected file is read by ROS 2."""
+        return Wording(
+            "stroke", "the declared valve with refitted damping", says_exact=True, corrected="a ROS 2 parameter file",
+            uses=(
+                "valve-sim validate ANOTHER_RECORDING --params {file}{options}",
+                "ros2 run valve_sim valve_node --ros-args --params-file {file}",
+                "ros2 param load /valve {file}",
+            ),
+        )  # fmt: skip
+
+    def meaning(self, effect: str, values: Mapping[str, float]) -> Meaning:
+        """What the catalogue says of it, with its severity where all of its parameters were estimated."""
+        entry = CATALOGUE.get(effect)
+        if entry is None:
+            return Meaning()
+        is_whole = set(values) == {own.name for own in entry.parameters}
+        severity = entry.severity_of(values, self.valve.declared()) if is_whole else None
+        return Meaning("" if severity is None else str(severity), entry.on_a_real_valve, entry.what_to_do)
+
+    @property
+    def travel(self) -> float:
+        """The stroke, m."""
+        return self.valve.parameters.stroke
+
+    def dampings_at(self, positions: Array) -> NDArray[np.int64]:
+        """(n,) 0 where the pilot plunger moves by itself, 1 where it moves the main plunger."""
+        return (positions > self.valve.parameters.pilot_gap).astype(np.int64)
+
+    def currents_at(self, times: Array, values: Mapping[str, float]) -> Array:
+        """(n,) the simulated current over the rated one at the times of a trace; 1 at those of another sensor."""
+        trace = next((trace for trace in self.traces if trace.times is times), None)
+        if trace is None:
+            return super().currents_at(times, values)
+        valve = self.with_values(values)
+        rated = valve.parameters.reference_voltage / valve.parameters.coil_resistance
+        drive = trace.input(valve.parameters.release_voltage)
+        return np.asarray(simulate(valve, drive, times).coil_current / rated)
+
+    def has_one_clock(self, recording: int) -> bool:
+        """Whether a recording is a table."""
+        return self.traces[recording].clock in CLOCKS_OF_TABLES
+
+    def stroke_voltages(self, values: Mapping[str, float]) -> tuple[float, ...]:
+        """Voltages of full strokes at which friction, drag and pull grow differently, V."""
+        return volts_at(self.with_values(values), STROKE_LEVELS, self.driven)
+
+    @property
+    def follows_positions(self) -> bool:
+        """Whether some recording has no positions."""
+        return not all(trace.has_positions for trace in self.traces)
+
+    def followed_positions(self, values: Mapping[str, float]) -> list[Followed]:
+        """The positions at the samples of the current, or else of the pressure, of each trace without positions.
 
         Raises:
             SimulationError: the simulation could not be carried to its end.
         """
-        valve = self._model.simulated(values)
-        return {
-            index: followed(valve, own.trace, own.drive(values), own.lateness(values))
-            for index, own in enumerate(self._recordings)
-            if not own.trace.has_positions
-        }
+        valve, found = self._model.simulated(values), []
+        for own in self._recordings:
+            trace = own.trace
+            if not trace.has_positions:
+                times = trace.sample_times
+                strokes, position = (
+                    stroke_numbers(trace.drive, times),
+                    followed(valve, trace, own.drive(values), own.lateness(values)),
+                )
+                found.append(Followed(trace.source, times, strokes, position, np.zeros(len(times))))
+        return found
 
     def sensitivities(self, values: Mapping[str, float], directions: Sequence[Direction]) -> Sensitivities:
         """The derivatives of what `predict` returns, by the model's variational equations.

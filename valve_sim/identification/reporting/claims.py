@@ -12,14 +12,12 @@ from valve_sim.identification.fit.correction import Correction, is_curve
 from valve_sim.identification.fit.posterior import EVEN, SURE
 from valve_sim.identification.fit.result import effective_rmse
 from valve_sim.identification.plants.effect_titles import capitalised, named, title_of, what_is_missing
-from valve_sim.identification.plants.own import OwnPlant
-from valve_sim.identification.plants.protocol import Plant
+from valve_sim.identification.plants.protocol import Meaning, Plant
 from valve_sim.identification.plants.tolerances import GROUP
-from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.document import Entry, Words
 from valve_sim.identification.reporting.units import amount, percent, quantity
 from valve_sim.identification.reporting.values import amount_words, is_stand_in, plain_name
-from valve_sim.model import CATALOGUE, Effect, Parameter
+from valve_sim.model import Parameter
 
 COORDINATES: Final = {"attraction_polynomial": "attraction"}
 """Declared values that are estimated by coordinates, and the name of these."""
@@ -57,8 +55,7 @@ def headline(diagnosis: Diagnosis) -> str:
     nearest, alike = named(verdict.effects), named(_look_alikes(verdict), "or")
     match verdict.kind:
         case "none":
-            is_valve = isinstance(diagnosis.plant, ValvePlant)
-            model = "the declared valve with refitted damping" if is_valve else "the declared model, refitted,"
+            model = diagnosis.plant.wording.refitted
             return f"{certainty(verdict)[0]}: {model} reproduces the measurement down to the noise."
         case "partly":
             return _partly(diagnosis)
@@ -170,12 +167,11 @@ def unseen_noise_words(diagnosis: Diagnosis) -> str:
     """What it means that a machine is never still; empty where the sensor's noise is known."""
     if diagnosis.before.fit.problem.noise.samples:
         return ""
-    is_plant_file = isinstance(diagnosis.plant, OwnPlant)
-    mend = " If a data sheet has it, declare it (noise: of an output)." if is_plant_file else ""
-    return (
+    told = (
         "The sensor's noise is not known, because the machine is never still for long enough. The residual of the best "
-        f"model stands for the noise, so an effect of that size cannot be found.{mend}"
+        "model stands for the noise, so an effect of that size cannot be found."
     )
+    return " ".join(filter(None, [told, diagnosis.plant.wording.unknown_noise]))
 
 
 def choice_words(diagnosis: Diagnosis) -> str:
@@ -241,21 +237,18 @@ def _meaning(diagnosis: Diagnosis, effect: str) -> dict[str, Any]:
     plant, intervals = diagnosis.plant, diagnosis.after.intervals
     worth = _worth_words(diagnosis, effect)
     if effect in plant.effects and plant.effects[effect].is_declared_value:
-        amounts, severity, (cause, advice) = _wrong_value(diagnosis, effect), "", _wrong_words(effect)
+        amounts, meaning = _wrong_value(diagnosis, effect), Meaning("", *_wrong_words(effect))
     else:
         is_declared = effect in declared_effects(plant)
         names = [name for name in intervals if name.startswith(f"{effect}.")]
         amounts = {plant.parameter(name).description: _amount(diagnosis, name, is_declared) for name in names}
-        # What the catalogue says of an effect is about a valve; an effect of a plant file may share its name.
-        entry = CATALOGUE.get(effect) if isinstance(plant, ValvePlant) else None
-        severity = _severity(entry, {name.partition(".")[2]: intervals[name].value for name in names}, plant)
-        cause, advice = (entry.on_a_real_valve, entry.what_to_do) if entry else ("", "")
+        meaning = plant.meaning(effect, {name.partition(".")[2]: intervals[name].value for name in names})
     return {
         "title": title_of(effect),
         "amounts": amounts | ({"explains": worth} if worth else {}),
-        "severity": severity or None,
-        "on_a_real_valve": cause or None,
-        "what_to_do": advice or None,
+        "severity": meaning.severity or None,
+        "on_a_real_valve": meaning.cause or None,
+        "what_to_do": meaning.advice or None,
     }
 
 
@@ -302,14 +295,6 @@ def is_inside(value: float, parameter: Parameter) -> bool:
     """Whether a value is none at which the search ended for want of a larger or smaller one."""
     ends = {parameter.lower, parameter.upper} - {parameter.off, 0.0, math.inf, -math.inf}
     return not any(math.isclose(value, end, rel_tol=1e-6) for end in ends)
-
-
-def _severity(entry: Effect | None, values: Mapping[str, float], plant: Plant) -> str:
-    """Its size beside something familiar; empty where nothing compares, or not all of the effect's values are free."""
-    if entry is None or not isinstance(plant, ValvePlant) or set(values) != {p.name for p in entry.parameters}:
-        return ""
-    severity = entry.severity_of(values, plant.valve.declared())
-    return "" if severity is None else str(severity)
 
 
 def declared_effects(plant: Plant) -> Collection[str]:

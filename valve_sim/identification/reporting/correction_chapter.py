@@ -14,7 +14,6 @@ from valve_sim.identification.fit.grades import Grade
 from valve_sim.identification.fit.left_out import Stroke, levels_of
 from valve_sim.identification.plants.effect_titles import inside_sentence, named, title_of
 from valve_sim.identification.plants.protocol import READABLE_UNITS
-from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting.claims import curve_words
 from valve_sim.identification.reporting.document import Block, Chapter, Items, Table, TableRow, Words
 from valve_sim.identification.reporting.units import in_unit, in_units, quantity
@@ -163,12 +162,12 @@ def _valid_for_json(diagnosis: Diagnosis, correction: Correction) -> dict[str, A
 def _lifts(diagnosis: Diagnosis, strokes: Sequence[Stroke]) -> str | None:
     """Whether a valve's plunger went to its stop in these strokes; None where its position was not recorded."""
     plant, lifts = diagnosis.plant, set[bool]()
-    if not isinstance(plant, ValvePlant):
+    if plant.travel is None:
         return None
     for recording, group in strokes:
         for channel in (one for one in plant.channels if one.recording == recording and one.kind == "position"):
             highest = np.max(channel.data[channel.group == group], initial=0.0)
-            lifts.add(bool(highest > FULL * plant.valve.parameters.stroke))
+            lifts.add(bool(highest > FULL * plant.travel))
     return " and ".join(word for word, is_full in (("full", True), ("partial", False)) if is_full in lifts) or None
 
 

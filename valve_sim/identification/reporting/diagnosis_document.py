@@ -11,14 +11,11 @@ from pathlib import Path
 from typing import Any, Final
 
 from valve_sim import __version__
-from valve_sim.identification.diagnosis.followed_positions import follows_positions
 from valve_sim.identification.diagnosis.outcome import Candidate, Diagnosis, State
 from valve_sim.identification.fit.intervals import Interval
 from valve_sim.identification.plants.effect_titles import named, named_value, title_of, titles_of
-from valve_sim.identification.plants.own import OwnPlant
 from valve_sim.identification.plants.protocol import Plant
 from valve_sim.identification.plants.tolerances import GROUP
-from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.identification.reporting import claims, values
 from valve_sim.identification.reporting import document as doc
 from valve_sim.identification.reporting.correction_chapter import correction_section
@@ -67,6 +64,8 @@ FOLLOWED: Final = (
     "The band is two standard errors of the estimated parameters."
 )
 LIMITS: Final = "An effect of this size would be named in half of such recordings."
+CHANGES_A_NODE: Final = "ros2 param load"
+"""Begins a command that is shown only where ROS 2 is installed."""
 OUTDONE: Final = "No force over position, velocity or time alone explains the data nearly as well as the named effects."
 
 
@@ -98,7 +97,7 @@ def diagnosis_document(
         _followed(diagnosis),
         _forces(diagnosis),
         _tried(diagnosis),
-        values.declared_section(diagnosis.declared, is_valve=isinstance(diagnosis.plant, ValvePlant)),
+        values.declared_section(diagnosis.declared, says_exact=diagnosis.plant.wording.says_exact),
         *recording_sections(diagnosis.recording, noise, unit, is_unknown=verdict.kind == "unknown"),
         _use(diagnosis, folder, options, is_sure=is_sure),
         _made(diagnosis, provenance),
@@ -189,8 +188,8 @@ def _record_next(diagnosis: Diagnosis, folder: Path | None, options: str) -> doc
         if advice:
             expected = "Expected separation by this recording, all else refitted:"
             blocks += [doc.Words(expected, on="page"), doc.Items(pairs, on="page")]
-    if advice and isinstance(diagnosis.plant, ValvePlant):
-        drive = profile_of(diagnosis)
+    drive = profile_of(diagnosis) if advice else None
+    if drive is not None:
         care = (
             "The commands are in record_next.yaml, beside this page. Read it before you use it: the voltages must suit"
         )
@@ -314,7 +313,7 @@ def _strokes(diagnosis: Diagnosis) -> doc.Chapter:
 
 def _followed(diagnosis: Diagnosis) -> doc.Chapter:
     fits = [fit for fit in (diagnosis.after.fit, diagnosis.after.holdout) if fit is not None]
-    has_any = any(follows_positions(fit.problem.plant) for fit in fits)
+    has_any = any(fit.problem.plant.follows_positions for fit in fits)
     followed = functools.cache(lambda: strokes_followed(diagnosis) if has_any else [])
     plots = doc.Plots(lambda: [stroke.plot() for stroke in followed()[:SHOWN_STROKES]], is_small=True)
     return doc.Chapter(
@@ -439,24 +438,18 @@ def _value_words(plant: Plant, name: str, value: float) -> str:
 
 def _use(diagnosis: Diagnosis, folder: Path | None, options: str, *, is_sure: bool) -> doc.Chapter:
     """Commands that check the corrected model and start it."""
-    plant, file = diagnosis.plant, shlex.quote(str((folder or Path()) / "corrected.yaml"))
-    source = typed_option(options, "--map") + typed_option(options, "--valve")
-    if isinstance(plant, ValvePlant):
-        lines = [
-            f"valve-sim validate ANOTHER_RECORDING --params {file}{source}",
-            f"ros2 run valve_sim valve_node --ros-args --params-file {file}",
-        ]
-        kind = "a ROS 2 parameter file"
-        if shutil.which("ros2") is not None:
-            lines.append(f"ros2 param load /valve {file}")
-    elif isinstance(plant, OwnPlant):
-        lines, kind = [f"valve-sim validate ANOTHER_RECORDING --plant {file}{source}"], "a plant file"
-    else:
+    wording, file = diagnosis.plant.wording, shlex.quote(str((folder or Path()) / "corrected.yaml"))
+    if not wording.corrected:
         return doc.Chapter()
+    source = typed_option(options, "--map") + typed_option(options, "--valve")
+    has_ros = shutil.which("ros2") is not None
+    lines = [
+        use.format(file=file, options=source) for use in wording.uses if has_ros or not use.startswith(CHANGES_A_NODE)
+    ]
     values = "these values" if diagnosis.after.intervals else "the declared values"
     what = (
-        f"corrected.yaml, beside this page, is {kind} with {values}. Check it against a recording that was not used "
-        "here, and start it, in the folder where this diagnosis was made:"
+        f"corrected.yaml, beside this page, is {wording.corrected} with {values}. Check it against a recording that "
+        "was not used here, and start it, in the folder where this diagnosis was made:"
     )
     doubt = [] if is_sure else [doc.Words("The verdict is uncertain: check first, and record more.", style="doubt")]
     model = "corrected" if diagnosis.verdict.is_corrected else "refitted"

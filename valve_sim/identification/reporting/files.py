@@ -7,16 +7,13 @@ from pathlib import Path
 from typing import Any, Final
 
 from valve_sim.files.json_text import json_text
-from valve_sim.files.parameter_files import save_valve
 from valve_sim.files.whole_files import write_whole
 from valve_sim.identification.diagnosis.identify import Identification
 from valve_sim.identification.diagnosis.outcome import Diagnosis
-from valve_sim.identification.plants.own import OwnPlant
-from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.identification.fit.declared_values import estimate_of
 from valve_sim.identification.reporting.diagnosis_document import diagnosis_document
 from valve_sim.identification.reporting.identification_document import identification_document
 from valve_sim.identification.reporting.page import write_page
-from valve_sim.identification.reporting.plant_file import changed_plant, corrected_plant, save_plant
 from valve_sim.identification.reporting.record_next import write_record_next
 
 IDENTIFIED: Final = ("identify.json", "identified.yaml")
@@ -45,12 +42,9 @@ def write_identification(
     write_whole(data, json_text(report or identification_document(result).to_json()))
     values = [f"{name}: {interval.value:.6g} ± {interval.stderr:.2g}" for name, interval in result.intervals.items()]
     origin = f"{provenance}\nidentified: {', '.join(values)}"
-    if isinstance(result.plant, OwnPlant):
-        effects = dict.fromkeys(name.partition(".")[0] for name in result.intervals if "." in name)
-        save_plant(machine, changed_plant(result.plant.file, result.fit, tuple(effects)), origin)
-    else:
-        save_valve(machine, result.valve, origin)
-    return data, machine
+    effects = tuple(dict.fromkeys(name.partition(".")[0] for name in result.intervals if "." in name))
+    is_written = result.plant.save_corrected(machine, estimate_of(result.fit), effects, origin)
+    return (data, machine) if is_written else (data,)
 
 
 def write_diagnosis(
@@ -80,19 +74,17 @@ def write_diagnosis(
     Raises:
         ValveError: a file cannot be written.
     """
-    folder, plant = Path(directory), diagnosis.plant
+    folder = Path(directory)
     data, page, corrected = (folder / name for name in FILES)
     document = diagnosis_document(diagnosis, final or folder, options, provenance)
     write_whole(data, json_text(report or document.to_json()))
     write_page(document, page)
     written = [data, page]
-    if isinstance(plant, ValvePlant):
-        save_valve(corrected, diagnosis.valve, provenance)
-        profile = write_record_next(folder, diagnosis, provenance, options)
-        written += [corrected] if profile is None else [corrected, profile]
-    if isinstance(plant, OwnPlant):
-        save_plant(corrected, corrected_plant(diagnosis), provenance)
+    effects = diagnosis.verdict.effects if diagnosis.verdict.is_corrected else ()
+    if diagnosis.plant.save_corrected(corrected, estimate_of(diagnosis.after.fit), effects, provenance):
         written.append(corrected)
+    if (profile := write_record_next(folder, diagnosis, provenance, options)) is not None:
+        written.append(profile)
     if picture is not None:
         from valve_sim.identification.reporting.figures import draw_diagnosis, save_figure
 

@@ -9,8 +9,6 @@ could be, is subtracted.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
@@ -20,11 +18,9 @@ from numpy.typing import NDArray
 from valve_sim.identification.diagnosis.outcome import Diagnosis
 from valve_sim.identification.fit.curves import Unexplained
 from valve_sim.identification.fit.gram import root_mean_square
-from valve_sim.identification.plants.protocol import Array, Plant
-from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.identification.plants.protocol import Array
 from valve_sim.identification.reporting.document import Line, Panel, Plot
 from valve_sim.identification.reporting.units import gain_words, quantity
-from valve_sim.model import simulate
 from valve_sim.model.effects import is_damping
 
 MOVES: Final = 0.02
@@ -107,9 +103,8 @@ def motion_of(diagnosis: Diagnosis) -> MovingSamples:
         if channel.unit != "m" or len(channel.times) < 3:
             continue
         speed = np.gradient(shown[index], channel.times)
-        current = _currents(plant, fitted.values, channel.times)
-        gap = plant.valve.parameters.pilot_gap if isinstance(plant, ValvePlant) else math.inf
-        damping = (shown[index] > gap).astype(np.int64)
+        current = plant.currents_at(channel.times, fitted.values)
+        damping = plant.dampings_at(shown[index])
         takes_part = fitted.problem.weight(index) > 0.0
         parts.append(tuple(values[takes_part] for values in (shown[index], speed, channel.times, current, damping)))
     if not parts:
@@ -118,18 +113,6 @@ def motion_of(diagnosis: Diagnosis) -> MovingSamples:
     columns = [np.concatenate(values) for values in zip(*parts, strict=True)]
     moves = np.abs(columns[1]) > MOVES * np.max(np.abs(columns[1]), initial=0.0)
     return MovingSamples(*(values[moves] for values in columns))
-
-
-def _currents(plant: Plant, values: Mapping[str, float], times: Array) -> Array:
-    """Current over rated current at the times of a channel; 1 where it is not known."""
-    traces = plant.traces if isinstance(plant, ValvePlant) else ()
-    trace = next((trace for trace in traces if trace.times is times), None)
-    if not isinstance(plant, ValvePlant) or trace is None:
-        return np.ones(len(times))
-    valve = plant.with_values(values)
-    rated = valve.parameters.reference_voltage / valve.parameters.coil_resistance
-    drive = trace.input(valve.parameters.release_voltage)
-    return np.asarray(simulate(valve, drive, times).coil_current / rated)
 
 
 def force_curve(entry: Unexplained, motion: MovingSamples) -> ForceCurve:

@@ -4,45 +4,33 @@ from __future__ import annotations
 
 import math
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
 from valve_sim.files.whole_files import write_whole
 from valve_sim.identification.diagnosis.experiment_design import Recommendation
 from valve_sim.identification.diagnosis.outcome import Diagnosis
-from valve_sim.identification.plants.valve import HIGHEST_LEVEL, LOWEST_LEVEL, ValvePlant, volts_at
-from valve_sim.model import Drive, Valve
+from valve_sim.model import Drive
 
 MAX_VOLTAGE: Final = 30.0
 """V: `command_profile` refuses more by default."""
 RECORD_NEXT_FILE: Final = "record_next.yaml"
-STROKE_LEVELS: Final = (
-    LOWEST_LEVEL,
-    8.5 / 9.0,
-    9.5 / 9.0,
-    10.5 / 9.0,
-    11.5 / 9.0,
-    12.5 / 9.0,
-    13.5 / 9.0,
-    HIGHEST_LEVEL,
-)
-"""Voltages of the full strokes after the pulses, of the reference voltage: friction, drag and pull grow differently."""
 ON, REST = 30e-3, 65e-3
 """s: how long the voltage of a full stroke holds, and the rest after each stroke, at whose end nothing moves."""
 LEAD: Final = 0.1
 """s of rest before the first command: the sensor's noise is read from it."""
 
 
-def profile_to_record(recommendation: Recommendation | None, valve: Valve, driven: float = math.inf) -> Drive:
+def profile_to_record(recommendation: Recommendation | None, voltages: Sequence[float]) -> Drive:
     """The commands of the recommended recording: the best pulse, repeated, then full strokes at other voltages.
 
     Args:
         recommendation: the pulse that separates the candidates best; None where none does.
-        valve: what is recorded; its reference voltage scales the full strokes.
-        driven: the highest voltage that was recorded so far, V; see `volts_at`.
+        voltages: of the full strokes, V.
     """
     pulses = [recommendation.experiment.commands] * recommendation.repeats if recommendation is not None else []
-    strokes = [((0.0, volts), (ON, 0.0)) for volts in volts_at(valve, STROKE_LEVELS, driven)]
+    strokes = [((0.0, volts), (ON, 0.0)) for volts in voltages]
     rows, start = [], LEAD
     for commands in [*pulses, *strokes]:
         rows += [(start + time, volts) for time, volts in commands]
@@ -77,28 +65,29 @@ def typed_commands(drive: Drive, path: Path, options: str, output: str) -> tuple
     )
 
 
-def profile_of(diagnosis: Diagnosis) -> Drive:
-    """The recording that a diagnosis of a valve recommends."""
-    driven = diagnosis.plant.driven if isinstance(diagnosis.plant, ValvePlant) else math.inf
-    return profile_to_record(diagnosis.recommendation, diagnosis.valve, driven)
+def profile_of(diagnosis: Diagnosis) -> Drive | None:
+    """The recording that a diagnosis advises; None of a machine that voltages do not drive."""
+    voltages = diagnosis.plant.stroke_voltages(diagnosis.after.fit.values)
+    return profile_to_record(diagnosis.recommendation, voltages) if voltages else None
 
 
 def write_record_next(folder: Path, diagnosis: Diagnosis, provenance: str, options: str = "") -> Path | None:
     """Write record_next.yaml where a diagnosis advises a recording; its path, None where there is none.
 
     Args:
-        folder: of the diagnosis' files. diagnosis: of a valve. provenance: how it was made.
+        folder: of the diagnosis' files. diagnosis: of any machine. provenance: how it was made.
         options: of the commands in its header: the diagnosed valve, as "--params my_valve.yaml --map map.yaml".
 
     Raises:
         ValveError: it cannot be written.
     """
     path = folder / RECORD_NEXT_FILE
-    if not diagnosis.verdict.is_open:
+    drive = profile_of(diagnosis) if diagnosis.verdict.is_open else None
+    if drive is None:
         # One from an earlier run into this folder would advise what this diagnosis does not.
         path.unlink(missing_ok=True)
         return None
-    write_profile(path, profile_of(diagnosis), diagnosis.recommendation, provenance, options)
+    write_profile(path, drive, diagnosis.recommendation, provenance, options)
     return path
 
 

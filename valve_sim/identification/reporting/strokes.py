@@ -8,15 +8,13 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from valve_sim.identification.diagnosis.followed_positions import FollowedPosition, followed_positions
+from valve_sim.identification.diagnosis.followed_positions import followed_positions
 from valve_sim.identification.diagnosis.outcome import Diagnosis
 from valve_sim.identification.fit.gram import root_mean_square
 from valve_sim.identification.fit.result import Fit
-from valve_sim.identification.plants.protocol import Array, primary_channels
-from valve_sim.identification.plants.valve import ValvePlant
+from valve_sim.identification.plants.protocol import Array, Followed, primary_channels
 from valve_sim.identification.reporting.document import Line, Panel, Plot
 from valve_sim.identification.reporting.units import quantity, three_digits
-from valve_sim.recordings import stroke_numbers
 
 DRAWN_POINTS: Final = 450
 """Most points drawn of a stroke: 100 strokes then make a report of some 2 MB."""
@@ -102,14 +100,13 @@ def _strokes(before: Fit, after: Fit, bands: Mapping[int, Array], *, is_held_out
     plant, shown_before, shown_after = problem.plant, before.shown(), after.shown()
     judged = primary_channels(plant)
     fitted = [index for index in range(len(plant.channels)) if np.any(problem.weight(index) > 0.0)]
-    part = "stroke" if isinstance(plant, ValvePlant) else "part"
     for index in [*judged, *(index for index in fitted if index not in judged)]:
         channel, takes_part = plant.channels[index], problem.weight(index) > 0.0
         scale, unit = channel.readable
         every = (channel.data, shown_before[index], shown_after[index], bands[index])
         for group in np.unique(channel.group[takes_part]):
             chosen = takes_part & (channel.group == group)
-            title = f"{channel.name}, {part} {int(group) + 1}" + (", held out" if is_held_out else "")
+            title = f"{channel.name}, {plant.wording.part} {int(group) + 1}" + (", held out" if is_held_out else "")
             curves = (scale * values[chosen] for values in every)
             yield StrokeCurves(title, is_held_out, channel.kind, unit, 1e3 * channel.times[chosen], *curves)
 
@@ -174,10 +171,8 @@ def strokes_followed(diagnosis: Diagnosis) -> list[FollowedStroke]:
     return [stroke for one in followed for stroke in _followed(one)]
 
 
-def _followed(one: FollowedPosition) -> Iterator[FollowedStroke]:
-    times = one.trace.sample_times
-    numbers = stroke_numbers(one.trace.drive, times)
-    for number in np.unique(numbers).tolist():
-        chosen = np.flatnonzero(numbers == number)
+def _followed(one: Followed) -> Iterator[FollowedStroke]:
+    for number in np.unique(one.strokes).tolist():
+        chosen = np.flatnonzero(one.strokes == number)
         kept = chosen[keep_extremes((one.position[chosen], one.stderr[chosen]), FOLLOWED_POINTS)]
-        yield FollowedStroke(one.trace.source, number + 1, times[kept], one.position[kept], one.stderr[kept])
+        yield FollowedStroke(one.source, number + 1, one.times[kept], one.position[kept], one.stderr[kept])

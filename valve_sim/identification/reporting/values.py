@@ -83,8 +83,8 @@ def value_rows(diagnosis: Diagnosis) -> list[TableRow]:
 # --- declared values ------------------------------------------------------------------------------------------------
 
 
-def declared_section(values: Sequence[DeclaredValue], *, is_valve: bool = True, is_whole: bool = False) -> Chapter:
-    """What the data say of declared values; on a terminal the table only where it `is_whole`."""
+def declared_section(values: Sequence[DeclaredValue], *, says_exact: bool = True, is_whole: bool = False) -> Chapter:
+    """What the data say of declared values, or that all are exact; on a terminal the table only where it `is_whole`."""
     reach = max((abs(row.deviation) + NORMAL_95 * row.spread for row in values), default=0.0)
     scale = min(max(math.ceil(reach), LEAST_REACH), MOST_REACH)
     table = Table(
@@ -99,7 +99,7 @@ def declared_section(values: Sequence[DeclaredValue], *, is_valve: bool = True, 
         f"± {BEYOND:g}."
     )
     blocks: list[Block] = []
-    if is_valve or values:
+    if says_exact or values:
         blocks.append(Words(f"{summary_words(values)}.", style="doubt" if any(row.is_out for row in values) else ""))
     if values:
         blocks += [Words(legend, style="soft", on="page"), table]

@@ -15,13 +15,12 @@ from valve_sim.identification.fit.gram import gram
 from valve_sim.identification.fit.problem import Problem
 from valve_sim.identification.fit.result import Fit, fit
 from valve_sim.identification.fit.unknown import known
-from valve_sim.identification.plants.own import OwnPlant
-from valve_sim.identification.plants.protocol import Array, Channel, Direction, finite_prediction
+from valve_sim.identification.plants.protocol import Array, Channel, Direction, Plant, finite_prediction
 from valve_sim.identification.validation.replay import Allowed, Replay, StrokeCheck, Validation, errors_between
 from valve_sim.recordings import Signal
 
 
-def validate_plant(plant: OwnPlant, tolerance: float | None = None) -> Validation:
+def validate_plant(plant: Plant, tolerance: float | None = None) -> Validation:
     """Check a declared machine against its recordings.
 
     The tolerances of declared values widen what is allowed, each by what it leaves once starts and errors of the
@@ -69,7 +68,6 @@ def _left_by_tolerances(found: Fit) -> list[Array]:
     count the whole of it would allow far more than such a value can leave.
     """
     problem, plant = found.problem, found.problem.plant
-    assert isinstance(plant, OwnPlant)
     known = [nuisance for nuisance in plant.nuisances if nuisance.is_of_machine]
     if not known:
         return [np.zeros((len(channel.data), 0)) for channel in plant.channels]

@@ -11,28 +11,17 @@ import yaml
 
 from valve_sim.files.plant_files import PlantFile, renamed
 from valve_sim.files.whole_files import write_whole
-from valve_sim.identification.diagnosis.outcome import Diagnosis
-from valve_sim.identification.fit.declared_values import declared_values
-from valve_sim.identification.fit.result import Fit
-from valve_sim.identification.plants.own import OwnPlant
 from valve_sim.model.core.own.grammar import Expr, names_in
 from valve_sim.model.core.own.units import text_of
 
 
-def corrected_plant(diagnosis: Diagnosis) -> dict[str, Any]:
-    """The plant's file with the values of a diagnosis, and what it names among the equations."""
-    plant, verdict = diagnosis.plant, diagnosis.verdict
-    assert isinstance(plant, OwnPlant)
-    effects = [name for name in verdict.effects if verdict.is_corrected and name in plant.file.effects]
-    return changed_plant(plant.file, diagnosis.after.fit, effects)
-
-
-def changed_plant(file: PlantFile, result: Fit, effects: Sequence[str] = ()) -> dict[str, Any]:
+def changed_plant(
+    file: PlantFile, values: Mapping[str, float], errors: Mapping[str, float], effects: Sequence[str] = ()
+) -> dict[str, Any]:
     """The content of a plant's file with the values of a fit, and some of its effects among the equations.
 
-    A value with a tolerance has its standard error for the new one.
+    A value with a tolerance has its standard error, among `errors`, for the new one.
     """
-    values, errors = result.values, {row.name: row.stderr for row in declared_values(result)}
     copied = yaml.safe_load(
         yaml.safe_dump({key: file.text[key] for key in file.text if key != "plant"}, sort_keys=False)
     )
@@ -42,7 +31,7 @@ def changed_plant(file: PlantFile, result: Fit, effects: Sequence[str] = ()) -> 
         if name in values and math.isfinite(values[name]):
             value = min(max(values[name], entry.lower), entry.upper)
             parameters[name]["value"] = float(f"{value / entry.unit.factor:.9g}")
-            if name in errors and 0.0 < errors[name] < math.inf:
+            if entry.tolerance and 0.0 < errors.get(name, 0.0) < math.inf:
                 parameters[name]["tolerance"] = float(f"{errors[name] / entry.unit.factor:.3g}")
     expressions = {
         "derivatives": dict(file.derivatives),
