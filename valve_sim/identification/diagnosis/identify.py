@@ -183,7 +183,7 @@ def identify_plant(
         SimulationError: the declared machine cannot be simulated.
     """
     free = tuple(plant.base if free is None else free)
-    plant.check_free(free)
+    plant.model.check_free(free)
     finite_prediction(plant, {})
     starts, sources = starts_about_declared(plant, free), [recording.source for recording in plant.recordings]
     return _identified(plant, free, starts, sources, progress or (lambda what, fraction: None))

@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import itertools
 import math
-import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -19,28 +18,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.files.changed_plants import changed_plant, save_plant
-from valve_sim.files.plant_entries import PlantFileError
-from valve_sim.files.plant_files import InputEntry, OutputEntry, PlantFile, inlined
-from valve_sim.files.recording_map import MapError
+from valve_sim.files.plant_files import InputEntry, OutputEntry, PlantFile
+from valve_sim.identification.plants.own_model import VALUE, OwnModel
 from valve_sim.identification.plants.protocol import (
     Advice,
     Array,
     Channel,
     Direction,
-    EffectChoice,
     Estimate,
     Nuisance,
-    Plant,
-    Sensitivities,
+    Piece,
     Wording,
 )
-from valve_sim.model.core.hybrid.system import EquationsError
-from valve_sim.model.core.own.equations import Equations
-from valve_sim.model.core.own.grammar import Expr, names_in, walk
-from valve_sim.model.core.own.simulation import Inputs, Machine, without_straight
-from valve_sim.model.core.own.units import dimension_words, same
-from valve_sim.model.errors import ParameterError, SimulationError
-from valve_sim.model.parameters import Parameter, closest
+from valve_sim.identification.plants.recorded import Prediction, RecordedPlant
+from valve_sim.model.core.own.grammar import walk
+from valve_sim.model.core.own.simulation import Inputs, without_straight
+from valve_sim.model.core.own.units import same
+from valve_sim.model.errors import SimulationError
 from valve_sim.recordings.columns import Column, Columns
 from valve_sim.recordings.resting_noise import step_of
 
@@ -56,10 +50,6 @@ STANDS_WITHIN: Final = 0.1
 """Of an input's whole range: what varies by more in a window acts on the machine."""
 CONSTANT: Final = 0.01
 """Of an input's largest reading: one that never varies by more stands all the time."""
-QUANTILES: Final = (0.1, 0.3, 0.5, 0.7, 0.9)
-"""Of what a threshold acts on, from which fits start it."""
-LAG: Final = 0.01
-"""Of a recording's samples, over which its fastest rate is taken."""
 SPAN: Final = 0.5
 """Of a measured signal's range: standard deviation of the start of a state that it shows."""
 TIMES_STEPS: Final = 20
@@ -67,8 +57,6 @@ TIMES_STEPS: Final = 20
 STEPS_BESIDE: Final = 12
 """Further steps for each sample and each time of an input: what turns faster than half their rate needs more."""
 STEPS_LEAST: Final = 20_000
-VALUE: Final = "valve."
-"""Begins the name of a declared value that may be wrong, as of every plant."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +98,7 @@ class Number(NamedTuple):
         return slopes.get(self.value, 0.0) + slopes.get(self.added, 0.0)
 
 
-class OwnPlant(Plant):
+class OwnPlant(RecordedPlant[OwnModel]):
     """A machine of a user's own with its recordings.
 
     All columns of a recording share a clock: it has no errors of stamps. Which inputs the machine may be given is not
@@ -122,59 +110,26 @@ class OwnPlant(Plant):
     """
 
     def __init__(self, file: PlantFile, recordings: Sequence[Columns]) -> None:
-        self.file = file
-        self.recordings = tuple(recordings)
-        self._machines: dict[tuple[str, ...], Machine] = {}
-        self._lock = threading.Lock()
-        self._delaying = {f"{name}.{own}" for name, effect in file.effects.items() for own in effect.delay.values()}
+        model = OwnModel(file, recordings)
+        self.file, self.recordings = model.file, tuple(recordings)
         self._steps: dict[int, int | None] = {}
-        for recording in recordings:
-            self._check(recording)
-        if recordings:
-            self.file = file.sized(self._sizes())
         self.findings: list[str] = []
         self._switched = () if self.file.states else _signs_of(self.file)
-        self._runs: list[Run] = []
         self._of_channel: list[tuple[int, str]] = []
-        channels = []
-        for index, recording in enumerate(recordings):
-            channels += self._channels_of(index, recording)
-            self._runs += self._runs_of(index, recording)
-        self._channels = tuple(channels)
+        super().__init__(model, [own for place in enumerate(recordings) for own in self._measured_by(*place)])
+        self._runs = [run for place in enumerate(recordings) for run in self._runs_of(*place)]
         self._starts: list[list[Number]] = [[] for _ in self._runs]
         self._nuisances = (*self._of_machine(), *self._of_starts(), *self._of_columns())
-        self._corrected = sorted({
-            name for own in recordings for name, column in own.columns.items() if column.gain or column.offset
-        })  # fmt: skip
         self._numbers = [self._of_run(run) for run in self._runs]
         self._of_effect = {
             name: [Number(own, self.declared(own), own) for own in (f"{name}.{one}" for one in effect.parameters)]
             for name, effect in self.file.effects.items()
         }
-        self._choices = self._effect_choices()
-        self.machine(())
-
-    # -- what the protocol asks for ------------------------------------------------------------------------------------
-
-    @property
-    def channels(self) -> Sequence[Channel]:
-        """Each output of each recording."""
-        return self._channels
-
-    @property
-    def base(self) -> Sequence[str]:
-        """The parameters that are declared `free`."""
-        return tuple(name for name, own in self.file.parameters.items() if own.free)
 
     @property
     def nuisances(self) -> Sequence[Nuisance]:
         """Values with a tolerance, starts, and errors of the columns."""
         return self._nuisances
-
-    @property
-    def effects(self) -> Mapping[str, EffectChoice]:
-        """Those of the file, and declared values that may be wrong."""
-        return self._choices
 
     @property
     def advice(self) -> Advice:
@@ -185,47 +140,6 @@ class OwnPlant(Plant):
             f"Record next: {inputs} at several levels, slowly and quickly, in both directions, and with rests",
             f"Record next: {inputs} at levels and rates that are not among these recordings",
         )
-
-    def parameter(self, name: str) -> Parameter:
-        """Unit, range and scale of a parameter of the machine or of an effect.
-
-        Raises:
-            KeyError: there is none.
-        """
-        effect, dot, own = name.partition(".")
-        if not dot:
-            entry = self.file.parameters[name]
-            size = abs(entry.value) or (
-                0.25 * (entry.upper - entry.lower) if math.isfinite(entry.upper - entry.lower) else 1.0
-            )
-            scale = entry.tolerance or size
-            title = entry.title or name.replace("_", " ")
-            return Parameter(name, entry.unit.si, title, entry.lower, entry.upper, scale)
-        found = self.file.effects[effect].parameters[own]
-        title = found.title or own.replace("_", " ")
-        return Parameter(own, found.unit.si, title, found.lower, found.upper, found.scale, found.neutral)
-
-    def declared(self, name: str) -> float:
-        """The declared value, or that at which an effect changes nothing; of a shape one within its range."""
-        effect, dot, own = name.partition(".")
-        if not dot:
-            return self.file.parameters[name].value
-        found = self.file.effects[effect].parameters[own]
-        if found.neutral is not None:
-            return found.neutral
-        if math.isfinite(found.lower) and not found.lower <= found.scale <= found.upper:
-            return 0.5 * (found.lower + min(found.upper, found.lower + 2.0 * found.scale))
-        return found.scale
-
-    def predict(self, values: Mapping[str, float]) -> list[Array]:
-        """The simulated signal of each channel, in its unit."""
-        return self._shown(values, ())[0]
-
-    def sensitivities(self, values: Mapping[str, float], directions: Sequence[Direction]) -> Sensitivities:
-        """The derivatives of what `predict` returns; all but those to delays are known."""
-        shown, columns = self._shown(values, directions)
-        known = [self._delaying.isdisjoint(direction.slopes) for direction in directions]
-        return Sensitivities(columns, np.array(known, dtype=bool), shown)
 
     @property
     def wording(self) -> Wording:
@@ -243,69 +157,13 @@ class OwnPlant(Plant):
         save_plant(path, changed_plant(self.file, estimate.values, errors, effects), provenance)
         return True
 
-    def check_free(self, names: Sequence[str]) -> None:
-        """Check that these parameters, or `<effect>.<parameter>`, can be freed.
-
-        Raises:
-            ParameterError: there is none of such a name, or none is given.
-        """
-        known = [*self.file.parameters]
-        known += [f"{name}.{own}" for name, effect in self.file.effects.items() for own in effect.parameters]
-        if not names:
-            raise ParameterError(
-                f"{self.file.path}: frees nothing; write free: true beside a parameter, or give --free NAME"
-            )
-        for name in names:
-            if name not in known:
-                alike = closest(name, known)
-                raise ParameterError(
-                    f"{name}: cannot be freed, {self.file.path} has no such name; did you mean {alike}?"
-                )
-
     # -- simulation ----------------------------------------------------------------------------------------------------
 
-    def machine(self, effects: tuple[str, ...]) -> Machine:
-        """The compiled equations with some effects on.
-
-        Raises:
-            PlantFileError: there are more switches and so on than the integrator has room for.
-        """
-        with self._lock:
-            if effects not in self._machines:
-                equations = self._with_errors(self.file.equations(effects))
-                free = [
-                    name for name in equations.parameters
-                    if "." in name or " " in name or self.file.parameters[name].free
-                    or self.file.parameters[name].tolerance or self.file.parameters[name].varies
-                ]  # fmt: skip
-                try:
-                    self._machines[effects] = Machine(equations, free)
-                except EquationsError as error:
-                    raise PlantFileError(f"{self.file.path}: {error}") from error
-            return self._machines[effects]
-
-    def _with_errors(self, equations: Equations) -> Equations:
-        """The equations with factor and offset of each column whose errors are estimated."""
-        outputs, names = dict(equations.outputs), list(equations.parameters)
-        driven: dict[str, Expr] = {}
-        for name in self._corrected:
-            gain, offset = Expr("name", (), f"{name} gain"), Expr("name", (), f"{name} offset")
-            names += [gain.value, offset.value]
-            if name in self.file.inputs:
-                # The machine is driven by the true input, of which the column shows this much.
-                hidden = Expr("name", (), f"{name} recorded")
-                driven[name] = Expr("+", (Expr("*", (hidden, gain)), offset))
-            else:
-                outputs[name] = Expr("+", (Expr("*", (outputs[name], gain)), offset))
-        inputs = tuple(f"{name} recorded" if name in driven else name for name in equations.inputs)
-        corrected = replace(equations, outputs=outputs, inputs=inputs, parameters=tuple(names))
-        return corrected.mapped(lambda own: inlined(own, driven))
-
-    def _shown(self, values: Mapping[str, float], directions: Sequence[Direction]) -> tuple[list[Array], list[Array]]:
-        """The simulated signal of each channel, and its (n, k) derivatives."""
+    def prediction(self, values: Mapping[str, float], directions: Sequence[Direction] = ()) -> Prediction:
+        """The simulated signal of each channel; all derivatives but those to delays are known."""
         on = {name.partition(".")[0] for name in values if "." in name} - {VALUE.rstrip(".")}
         effects = tuple(name for name in self.file.effects if name in on)
-        machine, delays = self.machine(effects), self._delays(values, effects)
+        machine, delays = self.model.machine(effects), self.model.delays(values, effects)
         found = {
             (index, name): np.zeros((len(self.recordings[index][name].times), 1 + len(directions)))
             for index, name in self._of_channel
@@ -333,23 +191,12 @@ class OwnPlant(Plant):
                     rows, into = rows_of[name], self._samples_of(run, name)
                     seen = np.column_stack([shown[rows, output], changes[rows, output]])
                     found[run.recording, name][into, columns] = seen
+        known = [self.model.delaying.isdisjoint(direction.slopes) for direction in directions]
         whole = [self.recordings[index][name].filtered(found[index, name]) for index, name in self._of_channel]
-        return [own[:, 0] for own in whole], [own[:, 1:] for own in whole]
-
-    def _delays(self, values: Mapping[str, float], effects: Sequence[str]) -> dict[str, float]:
-        """S by which inputs act and outputs show late, by name, where they do."""
-        entries: dict[str, InputEntry | OutputEntry] = {**self.file.inputs, **self.file.outputs}
-        found = {name: own.delay for name, own in entries.items() if own.delay}
-        for effect in effects:
-            for target, own in self.file.effects[effect].delay.items():
-                found[target] = found.get(target, 0.0) + values.get(f"{effect}.{own}", 0.0)
-        return found
-
-    def _longest_delay(self) -> float:
-        """s: no input acts later."""
-        ends = [own.delay for own in self.file.inputs.values()]
-        ends += [effect.parameters[own].upper for effect in self.file.effects.values() for own in effect.delay.values()]
-        return math.fsum(ends)
+        return Prediction(
+            np.array(known, dtype=bool),
+            [Piece(channel, 0, own[:, 0], own[:, 1:]) for channel, own in enumerate(whole)],
+        )
 
     def _most(self, place: int) -> int | None:
         """How many steps a run may take; None: the declared machine itself cannot be simulated.
@@ -362,7 +209,7 @@ class OwnPlant(Plant):
             numbers, start = ({own.name: own.declared for own in of[place]} for of in (self._numbers, self._starts))
             beside = STEPS_LEAST + STEPS_BESIDE * (len(run.samples) + len(run.inputs.times))
             try:
-                declared = self.machine(()).run(numbers, start, run.inputs, run.samples, start_time=run.start)
+                declared = self.model.machine(()).run(numbers, start, run.inputs, run.samples, start_time=run.start)
                 self._steps[place] = TIMES_STEPS * declared.steps + beside
             except SimulationError:
                 self._steps[place] = None
@@ -380,74 +227,19 @@ class OwnPlant(Plant):
         """The numbers of the equations without effects."""
         index = run.recording
         found = [Number(name, own.value, name, f"{name}[{index}]") for name, own in self.file.parameters.items()]
-        for name in self._corrected:
+        for name in self.model.corrected:
             found.append(Number(f"{name} gain", 1.0, added=f"gain[{index}].{name}"))
             found.append(Number(f"{name} offset", 0.0, added=f"offset[{index}].{name}"))
         return found
 
     # -- the recordings ------------------------------------------------------------------------------------------------
 
-    def _check(self, recording: Columns) -> None:
-        known: dict[str, InputEntry | OutputEntry] = {**self.file.inputs, **self.file.outputs}
-        for name, column in recording.columns.items():
-            if name not in known:
-                raise MapError(
-                    f"{recording.source}: {name}: is no input and no output of {self.file.path}; expected one of "
-                    f"{', '.join(known)}"
-                )
-            unit = known[name].unit
-            if column.unit is not None and not same(column.unit.dimension, unit.dimension):
-                raise MapError(
-                    f"{recording.source}: {name}: {column.source} is in "
-                    f"{dimension_words(column.unit.dimension)}, expected {dimension_words(unit.dimension)}; "
-                    "correct its unit in the map"
-                )
-        for name in self.file.inputs:
-            if name not in recording.columns:
-                raise MapError(
-                    f"{recording.source}: no column is named for the input {name}; add to the map "
-                    f"{name}: {{column: ..., unit: ...}}"
-                )
-        if not any(name in recording.columns for name in self.file.outputs):
-            raise MapError(
-                f"{recording.source}: no column is named for an output; add to the map one of "
-                f"{', '.join(self.file.outputs)}"
-            )
-
-    def _sizes(self) -> dict[str, float]:
-        """How large signals are, SI: of inputs the largest, of what sensors show half the range, of time the longest.
-
-        Of a state that is the rate of one that a sensor shows it is the fastest mean rate over `LAG` of a recording; of
-        one of which a sensor shows the rate, half of the way that this makes.
-        """
-        columns = [column for recording in self.recordings for column in recording.columns.values()]
-        found = {"t": max(float(np.ptp(column.times)) for column in columns)}
-        found["time"] = found["t"]
-        for name, entry in self.file.inputs.items():
-            found[name] = max(float(np.max(np.abs(own[name].si(entry.unit)))) for own in self.recordings)
-        for name, output in self.file.outputs.items():
-            shown = [(own[name].times, own[name].si(output.unit)) for own in self.recordings if name in own.columns]
-            if not shown:
-                continue
-            found[name] = 0.5 * max(float(np.ptp(values)) for _, values in shown)
-            if output.value.op == "name" and output.value.value in self.file.states:
-                state = str(output.value.value)
-                found[state] = found[name]
-                rate = self.file.derivatives[state]
-                if rate.op == "name" and rate.value in self.file.states:
-                    found.setdefault(str(rate.value), max(_fastest(times, values) for times, values in shown))
-                for other, its in self.file.derivatives.items():
-                    if its.op == "name" and its.value == state:
-                        way = max(float(np.ptp(_integral(times, values))) for times, values in shown)
-                        found.setdefault(other, 0.5 * way)
-        return found
-
     def _runs_of(self, index: int, recording: Columns) -> list[Run]:
         inputs = without_straight(inputs_of(self.file, recording))
         present = [name for name in self.file.outputs if name in recording.columns]
         samples = np.unique(np.concatenate([recording[name].times for name in present]))
         begins = min(samples[0], inputs.times[0]) if len(inputs.times) else samples[0]
-        window, longest = self.file.window, self._longest_delay()
+        window, longest = self.file.window, self.model.longest_delay()
         count = 1 if math.isinf(window) else max(1, round((samples[-1] - begins) / window))
         edges = [begins] if count == 1 else (begins + window * np.arange(count)).tolist()
         runs = []
@@ -464,7 +256,7 @@ class OwnPlant(Plant):
                 runs.append(Run(index, number, float(first), kept, own, rows))
         return runs
 
-    def _channels_of(self, index: int, recording: Columns) -> list[Channel]:
+    def _measured_by(self, index: int, recording: Columns) -> list[Channel]:
         channels = []
         inputs = [(recording[name], own) for name, own in self.file.inputs.items()]
         for name, entry in self.file.outputs.items():
@@ -550,20 +342,17 @@ class OwnPlant(Plant):
                 )
             if own.varies:
                 for index in range(len(self.recordings)):
-                    channels = self._channels_in(index)
+                    channels = self.channels_in(index)
                     found.append(
                         Nuisance(f"{name}[{index}]", own.varies, own.unit.si, channels, step=1e-2 * own.varies)
                     )
         return found
 
-    def _channels_in(self, index: int) -> tuple[int, ...]:
-        return tuple(place for place, (recording, _) in enumerate(self._of_channel) if recording == index)
-
     def _of_starts(self) -> list[Nuisance]:
         is_windowed = not math.isinf(self.file.window)
         found = []
         for run, starts in zip(self._runs, self._starts, strict=True):
-            channels = self._channels_in(run.recording)
+            channels = self.channels_in(run.recording)
             stretch = (float(run.samples[0]) - 1e-9, float(run.samples[-1]) + 1e-9)
             for name, entry in self.file.states.items():
                 if entry.start is not None and not is_windowed:
@@ -612,7 +401,7 @@ class OwnPlant(Plant):
         known: dict[str, InputEntry | OutputEntry] = {**self.file.inputs, **self.file.outputs}
         for index, recording in enumerate(self.recordings):
             for name, column in recording.columns.items():
-                channels = self._channels_in(index)
+                channels = self.channels_in(index)
                 if name in self.file.outputs:
                     channels = tuple(i for i in channels if self._of_channel[i][1] == name)
                 if column.gain:
@@ -623,56 +412,6 @@ class OwnPlant(Plant):
                     size = factor * column.offset
                     found.append(Nuisance(f"offset[{index}].{name}", size, unit.si, channels, step=1e-2 * size))
         return found
-
-    def _effect_choices(self) -> dict[str, EffectChoice]:
-        found = {}
-        for name, entry in self.file.effects.items():
-            parameters = tuple(self.parameter(f"{name}.{own}") for own in entry.parameters)
-            found[name] = EffectChoice(name, parameters, entry.confused_with, places=self._places(name))
-        for name, own in self.file.parameters.items():
-            if own.tolerance:
-                key = f"{VALUE}{name}"
-                parameter = self.parameter(name)._replace(off=own.value)
-                found[key] = EffectChoice(key, (parameter,), is_declared_value=True)
-        return found
-
-    def _places(self, effect: str) -> dict[str, tuple[float, ...]]:
-        """Where thresholds of an effect may lie: at quantiles of what they are compared with, if that is measured."""
-        found: dict[str, tuple[float, ...]] = {}
-        entry = self.file.effects[effect]
-        for name, own in entry.parameters.items():
-            if own.neutral is not None:
-                continue
-            seen = [self._seen(acted) for added in entry.add.values() for acted in _compared_with(added, name)]
-            values = [one for one in seen if one is not None]
-            if values:
-                places = np.quantile(np.concatenate(values), QUANTILES)
-                within = [float(p) for p in places if own.lower < p < own.upper]
-                if within:
-                    found[f"{effect}.{name}"] = tuple(dict.fromkeys(within))
-        return found
-
-    def _seen(self, name: str) -> Array | None:
-        """The recorded signal of a state, input or output; None if there is none."""
-        for shown, output in self.file.outputs.items():
-            if name == shown or (output.value.op == "name" and output.value.value == name):
-                columns = [own[shown].si(output.unit) for own in self.recordings if shown in own.columns]
-                return np.concatenate(columns) if columns else None
-        if name in self.file.inputs:
-            return np.concatenate([own[name].si(self.file.inputs[name].unit) for own in self.recordings])
-        return None
-
-
-def _fastest(times: Array, values: Array) -> float:
-    """The fastest mean rate over `LAG` of a recording: over shorter times noise would be rates, too."""
-    lag = max(1, round(LAG * len(values)))
-    return float(np.max(np.abs(values[lag:] - values[:-lag]) / (times[lag:] - times[:-lag]), initial=0.0))
-
-
-def _integral(times: Array, values: Array) -> Array:
-    """(n,) over the times, from 0 on, on straight lines between samples."""
-    steps = 0.5 * np.diff(times) * (values[1:] + values[:-1])
-    return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def inputs_of(file: PlantFile, recording: Columns | None) -> Inputs:
@@ -686,12 +425,15 @@ def inputs_of(file: PlantFile, recording: Columns | None) -> Inputs:
     times = np.unique(np.concatenate([column.times for column in columns]))
     levels = np.empty((len(times), len(columns)))
     for place, (column, own) in enumerate(pairs):
-        values = column.si(own.unit)
-        if held[place]:
-            levels[:, place] = values[np.maximum(np.searchsorted(column.times, times, side="right") - 1, 0)]
-        else:
-            levels[:, place] = np.interp(times, column.times, values)
+        levels[:, place] = level_at(times, column.times, column.si(own.unit), is_held=held[place])
     return Inputs(times, levels, held)
+
+
+def level_at(times: Array, of: Array, levels: Array, *, is_held: bool) -> Array:
+    """(n,) an input at some times: held from each of its own times `of` to the next, or straight between them."""
+    if is_held:
+        return np.asarray(levels[np.maximum(np.searchsorted(of, times, side="right") - 1, 0)])
+    return np.interp(times, of, levels)
 
 
 def delayed(inputs: Inputs, delays: Sequence[float]) -> Inputs:
@@ -703,11 +445,9 @@ def delayed(inputs: Inputs, delays: Sequence[float]) -> Inputs:
     rounding = 1e-12 * (float(np.max(np.abs(times))) + 1.0)
     levels = np.empty((len(times), len(delays)))
     for place, own in enumerate(delays):
-        if inputs.held[place]:
-            rows = np.searchsorted(inputs.times, times - own + rounding, side="right") - 1
-            levels[:, place] = inputs.levels[np.maximum(rows, 0), place]
-        else:
-            levels[:, place] = np.interp(times - own, inputs.times, inputs.levels[:, place])
+        is_held = inputs.held[place]
+        at = times - own + rounding if is_held else times - own
+        levels[:, place] = level_at(at, inputs.times, inputs.levels[:, place], is_held=is_held)
     return Inputs(times, levels, inputs.held)
 
 
@@ -732,16 +472,6 @@ def _signs_of(file: PlantFile) -> tuple[str, ...]:
         if one.op == "sign" or (one.op == ">" and any(own.op == "number" and own.value == 0.0 for own in one.args)):
             found |= {str(own.value): None for own in one.args if own.op == "name" and own.value in file.inputs}
     return tuple(found)
-
-
-def _compared_with(expression: Expr, name: str) -> list[str]:
-    """Names that stand in one sum or comparison with a name: of x − level it is x."""
-    found: list[str] = []
-    if expression.op in ("-", "+", ">", "min", "max"):
-        sides = [names_in(own) for own in expression.args]
-        if any(side == (name,) for side in sides):
-            found += [one for side in sides for one in side if one != name]
-    return found + [one for own in expression.args for one in _compared_with(own, name)]
 
 
 def _between(inputs: Inputs, first: float, last: float) -> Inputs:

@@ -9,7 +9,7 @@ import numpy as np
 from valve_sim.files.plant_entries import PlantFileError
 from valve_sim.files.plant_files import PlantFile
 from valve_sim.files.recording_map import MapError
-from valve_sim.identification.plants.own import Run, delayed, inputs_of, late
+from valve_sim.identification.plants.own import Run, delayed, inputs_of, late, level_at
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.model.core.hybrid.system import EquationsError
 from valve_sim.model.core.own.simulation import Event, Machine, without_straight
@@ -64,11 +64,7 @@ def simulate_plant(
         raise SimulationError(f"{file.path}: {error}") from error
     found = {"time": times}
     for place, (name, entry) in enumerate(file.inputs.items()):
-        own = inputs.levels[:, place]
-        if inputs.held[place]:
-            levels = own[np.maximum(np.searchsorted(inputs.times, times, side="right") - 1, 0)]
-        else:
-            levels = np.interp(times, inputs.times, own)
+        levels = level_at(times, inputs.times, inputs.levels[:, place], is_held=inputs.held[place])
         found[name] = levels / entry.unit.factor
     for place, (name, output) in enumerate(file.outputs.items()):
         found[name] = shown[rows[name], place] / output.unit.factor

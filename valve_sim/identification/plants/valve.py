@@ -32,11 +32,10 @@ from valve_sim.identification.plants.protocol import (
     Meaning,
     Nuisance,
     Piece,
-    Plant,
-    Sensitivities,
     Sensor,
     Wording,
 )
+from valve_sim.identification.plants.recorded import Prediction, RecordedPlant
 from valve_sim.identification.plants.recording_errors import (
     ErringRecording,
     changing,
@@ -61,7 +60,7 @@ from valve_sim.identification.plants.valve_sensors import (
     with_usable_current,
     without_pressure,
 )
-from valve_sim.model import CATALOGUE, Drive, Parameter, Tag, Valve, simulate
+from valve_sim.model import CATALOGUE, Drive, Tag, Valve, simulate
 from valve_sim.model.effects import FORCE_MAP_COEFFICIENTS, FORCE_MAP_VARIABLES, is_damping
 from valve_sim.recordings import Signal, Trace, stroke_numbers
 
@@ -107,7 +106,13 @@ def volts_at(valve: Valve, levels: Sequence[float], driven: float = math.inf) ->
     return tuple(round(own, 2) for own in volts)
 
 
-class ValvePlant(Plant):
+def usable(trace: Trace, valve: Valve) -> Trace:
+    """What a recording holds that a valve explains."""
+    jumps = valve.parameters.coil_time_constant == 0.0 or "motional_emf" in valve.effects
+    return with_usable_current(trace if valve.gas is not None else without_pressure(trace), jumps=jumps)
+
+
+class ValvePlant(RecordedPlant[ValveModel]):
     """The valve behind one or more traces.
 
     Args:
@@ -123,36 +128,20 @@ class ValvePlant(Plant):
 
     def __init__(self, traces: Sequence[Trace], valve: Valve | ValveModel, *, is_watched: bool = False) -> None:
         self._is_watched = is_watched
-        known = valve if isinstance(valve, ValveModel) else ValveModel(with_declared_sensor(valve, traces))
-        self._model = known
-        self.traces = tuple(map(self._usable, traces))
-        self._channels = [channel for index, trace in enumerate(self.traces) for channel in channels_of(index, trace)]
+        model = valve if isinstance(valve, ValveModel) else ValveModel(with_declared_sensor(valve, traces))
+        self.traces = tuple(usable(trace, model.valve) for trace in traces)
+        super().__init__(model, [own for index, trace in enumerate(self.traces) for own in channels_of(index, trace)])
         self._recordings = self._recorded_errors()
-
-    def _usable(self, trace: Trace) -> Trace:
-        """What a recording holds that the valve explains."""
-        jumps = self.valve.parameters.coil_time_constant == 0.0 or "motional_emf" in self.valve.effects
-        return with_usable_current(trace if self.valve.gas is not None else without_pressure(trace), jumps=jumps)
 
     @property
     def valve(self) -> Valve:
         """The declared valve."""
-        return self._model.valve
+        return self.model.valve
 
     @property
     def short_step(self) -> float | None:
         """Step of difference quotients of a valve with gas: see `GAS_STEP`."""
         return None if self.valve.gas is None else GAS_STEP
-
-    @property
-    def channels(self) -> Sequence[Channel]:
-        """Pilot position, coil current and outlet pressure, as far as recorded, trace by trace."""
-        return self._channels
-
-    @property
-    def base(self) -> Sequence[str]:
-        """The dampings that the valve uses, but of one that was commissioned."""
-        return self._model.refitted
 
     @functools.cached_property
     def nuisances(self) -> Sequence[Nuisance]:
@@ -161,24 +150,24 @@ class ValvePlant(Plant):
         After them the declared values that have a tolerance: of the valve, and so the same in each trace. Of a
         commissioned valve an error for each command's stamp, and what commissioning has left open.
         """
-        if (scatter := self._model.scatter) is not None:
-            return (*(stamp._replace(sigma=scatter) for stamp in self._stamps), *self._model.nuisances)
-        traces = [(trace, index, self._channels_of(index)) for index, trace in enumerate(self.traces)]
+        if (scatter := self.model.scatter) is not None:
+            return (*(stamp._replace(sigma=scatter) for stamp in self._stamps), *self.model.nuisances)
+        traces = [(trace, index, self.channels_in(index)) for index, trace in enumerate(self.traces)]
         offsets = [own(index, channels) for _, index, channels in traces for own in (clock_offset, clock_rate)]
         readings = (nuisance for of_trace in traces for nuisance in reading_errors(*of_trace))
-        return (*offsets, *readings, *self._model.nuisances)
+        return (*offsets, *readings, *self.model.nuisances)
 
     @property
     def timing_errors(self) -> Sequence[Nuisance]:
         """An error for each command that was recorded as it was sent: the voltage changes later than its stamp says."""
-        return self._stamps if self._model.scatter is None else ()
+        return self._stamps if self.model.scatter is None else ()
 
     @functools.cached_property
     def _stamps(self) -> tuple[Nuisance, ...]:
         return tuple(
             nuisance
             for index, trace in enumerate(self.traces)
-            for nuisance in stamp_errors(trace, index, self._channels_of(index))
+            for nuisance in stamp_errors(trace, index, self.channels_in(index))
         )
 
     @functools.cached_property
@@ -188,9 +177,9 @@ class ValvePlant(Plant):
         Without positions less what only a sensor of positions would show.
         """
         if any(trace.has_positions for trace in self.traces):
-            return self._model.effects
+            return self.model.effects
         of_sensors = {entry.name for entry in CATALOGUE.tagged(Tag.SENSOR)}
-        return {name: choice for name, choice in self._model.effects.items() if name not in of_sensors}
+        return {name: choice for name, choice in self.model.effects.items() if name not in of_sensors}
 
     @functools.cached_property
     def force_maps(self) -> Sequence[ForceMap]:
@@ -199,7 +188,7 @@ class ValvePlant(Plant):
         None by the outlet's pressure alone: it shows when the plungers have moved, and nothing of how. None of a
         commissioned valve with gas, where each of many derivatives takes another simulation of all.
         """
-        if self._model.scatter is not None and self.valve.gas is not None:
+        if self.model.scatter is not None and self.valve.gas is not None:
             return []
         if all(trace.primary_signal == "outlet_pressure" for trace in self.traces):
             return []
@@ -260,39 +249,24 @@ class ValvePlant(Plant):
         seen = "" if self.traces[0].has_positions else SIGNALS[self.traces[0].primary_signal].name
         if seen:
             blank = {"times": times[:0], "pilot_position": times[:0], seen: Signal(times, trace.pilot_position)}
-            trace = self._usable(replace(trace, **blank))  # type: ignore[arg-type] # by name
-        at = moving_valve(self._model, values, (), has_current=trace.coil_current is not None)
+            trace = usable(replace(trace, **blank), self.valve)  # type: ignore[arg-type] # by name
+        at = moving_valve(self.model, values, (), has_current=trace.coil_current is not None)
         (piece,) = shown(at, [ErringRecording(trace, 0, self.valve)])
         # Samples at a command, where a current may jump, are not among those of a signal.
         found = {seen: Signal(getattr(trace, seen).times, piece.shown)} if seen else {"pilot_position": piece.shown}
-        return ValvePlant([replace(trace, **found)], self._model)
-
-    def _channels_of(self, trace: int) -> tuple[int, ...]:
-        return tuple(index for index, channel in enumerate(self._channels) if channel.recording == trace)
-
-    def parameter(self, name: str) -> Parameter:
-        """Unit and range of a declared parameter or of `<effect>.<parameter>`.
-
-        Raises:
-            KeyError: there is none.
-        """
-        return self._model.parameter(name)
-
-    def declared(self, name: str) -> float:
-        """The declared value, or the one at which an effect changes nothing."""
-        return self._model.declared(name)
+        return ValvePlant([replace(trace, **found)], self.model)
 
     def with_values(self, values: Mapping[str, float]) -> Valve:
         """The valve that freed values and estimates of declared values describe; its tolerances stay as declared."""
-        return self._model.with_values(values)
+        return self.model.with_values(values)
 
     def propagated(self, names: Sequence[str], covariance: Array) -> tuple[tuple[str, ...], Array]:
         """Declared scalars and their covariance, from those of what was estimated."""
-        return self._model.propagated(names, covariance)
+        return self.model.propagated(names, covariance)
 
     def estimated(self, estimate: Estimate) -> Valve:
         """The valve with the values of a fit, whose errors are its tolerances."""
-        return estimated_valve(self._model, estimate)
+        return estimated_valve(self.model, estimate)
 
     def save_corrected(self, path: Path, estimate: Estimate, effects: Sequence[str], provenance: str) -> bool:
         """Write a parameter file; effects are in it that were estimated."""
@@ -358,7 +332,7 @@ class ValvePlant(Plant):
         Raises:
             SimulationError: the simulation could not be carried to its end.
         """
-        valve, found = self._model.simulated(values), []
+        valve, found = self.model.simulated(values), []
         for own in self._recordings:
             trace = own.trace
             if not trace.has_positions:
@@ -370,17 +344,10 @@ class ValvePlant(Plant):
                 found.append(Followed(trace.source, times, strokes, position, np.zeros(len(times))))
         return found
 
-    def sensitivities(self, values: Mapping[str, float], directions: Sequence[Direction]) -> Sensitivities:
-        """The derivatives of what `predict` returns, by the model's variational equations.
-
-        Raises:
-            SimulationError: the simulation could not be carried to its end.
-        """
+    def prediction(self, values: Mapping[str, float], directions: Sequence[Direction] = ()) -> Prediction:
+        """What the sensors show, with derivatives by the model's variational equations."""
         at = self._moving(values, directions)
-        if not at.known.any():
-            return Sensitivities([], at.known)
-        found = list(shown(at, self._recordings))
-        return Sensitivities([own.columns for own in found], at.known, [own.shown for own in found])
+        return Prediction(at.known, shown(at, self._recordings))
 
     @property
     def comes_in_pieces(self) -> bool:
@@ -400,7 +367,7 @@ class ValvePlant(Plant):
 
     def _moving(self, values: Mapping[str, float], directions: Sequence[Direction] = ()) -> MovingValve:
         has_current = any(trace.coil_current is not None for trace in self.traces)
-        return moving_valve(self._model, values, directions, has_current=has_current)
+        return moving_valve(self.model, values, directions, has_current=has_current)
 
     @property
     def _averages(self) -> bool:
@@ -413,7 +380,7 @@ class ValvePlant(Plant):
 
         The few strokes of a commissioned valve are compared one by one.
         """
-        return self.valve.gas is None and not self._averages and self._model.scatter is None
+        return self.valve.gas is None and not self._averages and self.model.scatter is None
 
     def thinned(self, kept: Sequence[NDArray[np.intp]]) -> ValvePlant:
         """This plant with some samples of each channel, of which the first is one."""
@@ -433,8 +400,8 @@ class ValvePlant(Plant):
             nuisance
             for index, trace in enumerate(self.traces)
             for found in (
-                variations(varying_numbers(self.valve), trace, index, self._channels_of(index), part_of),
-                () if self._is_watched else supply_errors(trace, index, self._channels_of(index)),
+                variations(varying_numbers(self.valve), trace, index, self.channels_in(index), part_of),
+                () if self._is_watched else supply_errors(trace, index, self.channels_in(index)),
             )
             for nuisance in found
         )
@@ -446,7 +413,7 @@ class ValvePlant(Plant):
         return tuple(
             nuisance
             for index, trace in enumerate(self.traces)
-            for nuisance in variations(changing(effect), trace, index, self._channels_of(index))
+            for nuisance in variations(changing(effect), trace, index, self.channels_in(index))
         )
 
     def _recorded_errors(self) -> list[ErringRecording]:
@@ -461,9 +428,9 @@ class ValvePlant(Plant):
             SimulationError: the simulation could not be carried to its end.
         """
         found: dict[int, Sensor] = {}
-        valve = self._model.simulated(values)
+        valve = self.model.simulated(values)
         for index in range(len(self.traces)):
-            for place in self._channels_of(index):
+            for place in self.channels_in(index):
                 kind = self._channels[place].kind
                 if kind == "position":
                     found[place] = self._position_sensor(valve, index, values, next(iter(found), place))
@@ -490,14 +457,6 @@ class ValvePlant(Plant):
         )
         shares = {"scale": sheet.gain, "bend": sheet.linearity}
         return Sensor(self.valve.parameters.stroke, trace.drive.times, meet, shares)
-
-    def predict(self, values: Mapping[str, float]) -> list[Array]:
-        """What each channel would show, in its unit.
-
-        Raises:
-            SimulationError: the simulation could not be carried to its end.
-        """
-        return [own.shown for own in shown(self._moving(values), self._recordings)]
 
 
 def _thinned(channel: Channel, kept: NDArray[np.intp]) -> Channel:
