@@ -63,6 +63,8 @@ def test_strokes_are_held_out_of_bags_of_two_strokes_each() -> None:
         # Stamps that are learned explain what the model lacks, but not on strokes of another kind. Of two effects the
         # training data show one.
         (4514, ("residual_magnetism", "coulomb_friction"), "partly", {"constant_force"}),
+        # Friction by direction: full strokes hide most of it in a damping, so that a constant force predicts them well.
+        (6008, ("constant_force", "stiction"), "partly", {"coulomb_friction", "pressure_force"}),
     ],
 )
 def test_two_effects_that_were_lost_are_corrected(seed: int, few: tuple[str, ...], kind: str, names: set[str]) -> None:
@@ -72,7 +74,7 @@ def test_two_effects_that_were_lost_are_corrected(seed: int, few: tuple[str, ...
     found = diagnose_plant(train, held_out)
     assert (found.verdict.kind, set(found.verdict.effects)) == (kind, names)
     assert found.correction is not None
-    assert found.before.holdout_rmse > 10.0 * found.correction.noise
+    assert found.before.holdout_rmse > 3.0 * found.correction.noise
     assert found.after.holdout_rmse < 1.1 * found.correction.noise
     assert found.correction.after == pytest.approx(found.correction.noise, rel=0.1)
 

@@ -52,7 +52,7 @@ def searched(*, has_friction: bool = True) -> Search:
 def closed(search: Search) -> tuple[Correction, tuple[Grade, ...]]:
     posterior = search.posterior()
     decision = decide(posterior, {name: len(own.frees) for name, own in search.fitter.hypotheses.items()})
-    correction = correct(search, decision)
+    correction = correct(search, decision, lambda declared, corrected: False)
     return correction, grades(correction, decision, posterior)
 
 

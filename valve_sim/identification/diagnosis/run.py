@@ -22,6 +22,7 @@ from valve_sim.identification.fit.correction import FALLS, Correction, correct, 
 from valve_sim.identification.fit.curves import Unexplained, unexplained
 from valve_sim.identification.fit.descent import MOST
 from valve_sim.identification.fit.detection_limits import detection_limits
+from valve_sim.identification.fit.fitter import Tried
 from valve_sim.identification.fit.grades import Grade, grades, kind_of, without_support
 from valve_sim.identification.fit.held_out import HeldOut, predicted
 from valve_sim.identification.fit.intervals import Interval, covariance_interval, profile_interval
@@ -221,9 +222,7 @@ class DiagnosisSession:
         grounds = self._decided()
         posterior, decision = grounds.posterior, grounds.decision
         self._say("what predicts unseen strokes", 0.9)
-        correction = correct(self._search, decision)
-        if correction.names and not correction.is_applied:
-            correction = replace(correction, is_applied=self._lowers_held_out_error(correction))
+        correction = correct(self._search, decision, self._lowers_held_out_error)
         if without_support(correction, grades(correction, decision, posterior)):
             correction = replace(correction, is_applied=False)
         self._say("intervals", 0.95)
@@ -368,15 +367,9 @@ class DiagnosisSession:
             {} if there is None else there.bands, adequacy(result), intervals,
         )  # fmt: skip
 
-    def _lowers_held_out_error(self, correction: Correction) -> bool:
-        """Whether a correction that left-out strokes do not confirm lowers the error of held-out ones by a third.
-
-        (Where each stroke has errors of its own, such as stamps that scatter, these follow what the model lacks.) What
-        raises the error of left-out strokes is not helped by held-out ones.
-        """
-        if correction.after >= correction.before:
-            return False
-        fits = [self._held_out.fit(correction.tried[names].result) for names in ((), correction.names)]
+    def _lowers_held_out_error(self, declared: Tried, corrected: Tried) -> bool:
+        """Whether a fit lowers the error of held-out strokes by a third."""
+        fits = [self._held_out.fit(own.result) for own in (declared, corrected)]
         errors = [math.log(rmse(own)) for own in fits if own is not None]
         return len(errors) == len(fits) and errors[0] - errors[1] >= FALLS
 

@@ -11,8 +11,8 @@ Correcting needs no belief in the form; naming does, and is left to the posterio
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
@@ -459,11 +459,12 @@ def _mean(errors: Iterable[float]) -> float:
     return math.exp(math.fsum(logs) / len(logs)) if logs else math.nan
 
 
-def correct(search: Search, decision: Decision) -> Correction:
+def correct(search: Search, decision: Decision, confirms: Callable[[Tried, Tried], bool]) -> Correction:
     """The correction that a finished search allows.
 
     Args:
         search: that has ended. decision: of its posterior.
+        confirms: whether held-out strokes confirm that the second fit predicts far better than the first.
     """
     scoring = Scoring(search)
     choice = chosen(scoring.scores, decision)
@@ -476,7 +477,25 @@ def correct(search: Search, decision: Decision) -> Correction:
         if decision.unnamed > EVEN:
             scoring.add_curves()
             choice = chosen(scoring.scores, decision)
-    return _outcome(scoring, choice)
+    found = _outcome(scoring, choice)
+    return found if found.is_applied else _confirmed(scoring, found, decision, confirms)
+
+
+def _confirmed(
+    scoring: Scoring, found: Correction, decision: Decision, confirms: Callable[[Tried, Tried], bool]
+) -> Correction:
+    """The correction that held-out strokes confirm, where left-out ones do not: the one found, or the posterior's.
+
+    (Where each stroke has errors of its own, such as stamps that scatter, these follow what the model lacks; and full
+    strokes hide what partial lifts show.) What raises the error of left-out strokes is not helped by held-out ones.
+    """
+    others = [found] if found.names else []
+    if decision.names not in ((), found.names) and agrees(scoring.scores, decision.names):
+        others.append(_outcome(scoring, Choice(decision.names, "prediction", is_applied=False)))
+    for own in others:
+        if own.after < own.before and confirms(own.tried[()], own.tried[own.names]):
+            return replace(own, is_applied=True)
+    return found
 
 
 def _outcome(scoring: Scoring, choice: Choice) -> Correction:
