@@ -9,7 +9,7 @@ from plants.actuators import KINDS, SUBSTEPS, march
 
 from benchmarks.campaign.cases import Case, draw_case
 from benchmarks.campaign.running import Answer, Outcome
-from benchmarks.campaign.tables import family_table, standing, upper_limit
+from benchmarks.campaign.tables import DEMANDS, family_table, standing, upper_limit
 
 pytestmark = pytest.mark.long
 
@@ -57,6 +57,16 @@ def test_lines_of_json_are_pooled() -> None:
     assert "confidently wrong, all together: 1 of 3, 33.33%" in table
     # Of 1000 cases without one it is 3 in 1000, to the nearest.
     assert upper_limit(0, 1000) == pytest.approx(3e-3, rel=0.01)
+
+
+def test_a_demand_judges_the_outcomes_of_its_families_alone() -> None:
+    demand = next(one for one in DEMANDS if one.words == "none: none")
+    right, wrong = outcome_of("none", "none", (), 0.9), outcome_of("none", "effects", ("stiction",), 0.95)
+    elsewhere = outcome_of("single", "effects", ("stiction",), 0.95)
+    assert not demand.is_short([right, elsewhere])
+    assert demand.is_short([right, wrong])
+    assert "50.0 % of 2" in demand.line([right, wrong, elsewhere], is_judged=True)
+    assert demand.line([elsewhere], is_judged=True) == ""
 
 
 def test_the_true_coil_rises_as_the_exponential_of_its_time_constant() -> None:

@@ -244,7 +244,10 @@ def test_a_recording_without_end_is_refused(fresh: subprocess.Popen[str], kind: 
     )
 
 
+@pytest.mark.parametrize("option", ["--map", "--params"])
 @pytest.mark.parametrize("kind", YAML)
-def test_a_file_of_names_without_end_is_refused(fresh: subprocess.Popen[str], kind: str, tmp_path: Path) -> None:
+def test_a_file_of_names_without_end_is_refused(
+    fresh: subprocess.Popen[str], kind: str, option: str, tmp_path: Path
+) -> None:
     make, words = YAML[kind]
-    check(fresh, ["info", "bags/friction", "--params", make(tmp_path)], words)
+    check(fresh, ["info", "bags/friction", option, make(tmp_path)], words)

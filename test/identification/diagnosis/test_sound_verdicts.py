@@ -56,25 +56,28 @@ def test_strokes_are_held_out_of_bags_of_two_strokes_each() -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("seed", "few", "kind", "names"),
+    ("seed", "few", "kind", "names", "times"),
     [
         # A delay of 1.1 ms: saturation beside something unnamed explains more than the delay does beside that.
-        (4511, ("magnetic_saturation", "eddy_lag"), "effects", {"constant_force", "sensor_delay"}),
+        (4511, ("magnetic_saturation", "eddy_lag"), "effects", {"constant_force", "sensor_delay"}, 10.0),
         # Stamps that are learned explain what the model lacks, but not on strokes of another kind. Of two effects the
         # training data show one.
-        (4514, ("residual_magnetism", "coulomb_friction"), "partly", {"constant_force"}),
+        (4514, ("residual_magnetism", "coulomb_friction"), "partly", {"constant_force"}, 10.0),
         # Friction by direction: full strokes hide most of it in a damping, so that a constant force predicts them well.
-        (6008, ("constant_force", "stiction"), "partly", {"coulomb_friction", "pressure_force"}),
+        (6008, ("constant_force", "stiction"), "partly", {"coulomb_friction", "pressure_force"}, 3.0),
     ],
 )
-def test_two_effects_that_were_lost_are_corrected(seed: int, few: tuple[str, ...], kind: str, names: set[str]) -> None:
+def test_two_effects_that_were_lost_are_corrected(
+    seed: int, few: tuple[str, ...], kind: str, names: set[str], times: float
+) -> None:
+    """`times`: the noise, beyond which the declared model errs on held-out strokes."""
     case = draw_case("pair", seed)
     traces = [as_trace(own, f"bag {number}") for number, own in enumerate(case.recordings())]
     train, held_out = (Short([trace], case.declared, (*few, *names)) for trace in traces)
     found = diagnose_plant(train, held_out)
     assert (found.verdict.kind, set(found.verdict.effects)) == (kind, names)
     assert found.correction is not None
-    assert found.before.holdout_rmse > 3.0 * found.correction.noise
+    assert found.before.holdout_rmse > times * found.correction.noise
     assert found.after.holdout_rmse < 1.1 * found.correction.noise
     assert found.correction.after == pytest.approx(found.correction.noise, rel=0.1)
 

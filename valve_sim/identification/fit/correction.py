@@ -489,12 +489,15 @@ def _confirmed(
     (Where each stroke has errors of its own, such as stamps that scatter, these follow what the model lacks; and full
     strokes hide what partial lifts show.) What raises the error of left-out strokes is not helped by held-out ones.
     """
-    others = [found] if found.names else []
-    if decision.names not in ((), found.names) and agrees(scoring.scores, decision.names):
-        others.append(_outcome(scoring, Choice(decision.names, "prediction", is_applied=False)))
-    for own in others:
-        if own.after < own.before and confirms(own.tried[()], own.tried[own.names]):
-            return replace(own, is_applied=True)
+    declared, names = scoring.tried[()], decision.names
+    if found.names and found.after < found.before and confirms(declared, scoring.tried[found.names]):
+        return replace(found, is_applied=True)
+    # Refits cost most, and are made last.
+    is_other = names not in ((), found.names) and agrees(scoring.scores, names)
+    if is_other and confirms(declared, scoring.tried[names]):
+        other = _outcome(scoring, Choice(names, "prediction", is_applied=False))
+        if other.after < other.before:
+            return replace(other, is_applied=True)
     return found
 
 

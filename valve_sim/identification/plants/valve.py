@@ -337,10 +337,8 @@ class ValvePlant(RecordedPlant[ValveModel]):
             trace = own.trace
             if not trace.has_positions:
                 times = trace.sample_times
-                strokes, position = (
-                    stroke_numbers(trace.drive, times),
-                    followed(valve, trace, own.drive(values), own.lateness(values)),
-                )
+                strokes = stroke_numbers(trace.drive, times)
+                position = followed(valve, trace, own.drive(values), own.lateness(values))
                 found.append(Followed(trace.source, times, strokes, position, np.zeros(len(times))))
         return found
 

@@ -52,7 +52,7 @@ def correction_section(diagnosis: Diagnosis) -> Chapter:
     blocks: list[Block] = [Words(f"{left_out}, and {how}.", style="soft"), conditions]
     if not correction.is_applied:
         names = f"a force over {curve_words(correction)}" if is_curve(correction.names) else named(correction.names)
-        why = "it does not reduce the error of unseen strokes by a third, or increases that of single strokes"
+        why = "it does not reduce the error of unseen strokes by a third, or increases that of held-out strokes"
         blocks.append(Words(f"Not applied: a correction by {names}, because {why}.", style="doubt"))
     else:
         fields["correction"] = _json(diagnosis, correction)
