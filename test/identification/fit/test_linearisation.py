@@ -181,7 +181,14 @@ def test_products_with_columns_are_those_of_the_rows(problem: Problem) -> None:
     # A column says what its coefficient adds to what the sensor shows.
     own = model.linear[5]
     change = problem.every_row.whitened_columns({0: problem.columns.samples[0]})[0][1][:, own.column]
-    np.testing.assert_allclose(sums.fixed[: len(change), 5], -change)
+    whole = sums.fixed.dense()
+    np.testing.assert_allclose(whole[: len(change), 5], -change)
+    # A model frees some of them.
+    places = [1, 5, len(model.linear) - 1]
+    some, coefficients = problem.white_columns.chosen(places), np.array([1.0, -2.0, 3.0])
+    np.testing.assert_array_equal(some.dense(), whole[:, places])
+    np.testing.assert_allclose(some @ coefficients, whole[:, places] @ coefficients, atol=1e-12)
+    np.testing.assert_allclose(some.onto(sums.moved), whole[:, places].T @ sums.moved, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.long

@@ -137,7 +137,7 @@ class Gaussian:
 
     def beside(self, process: Process, cell: Cell) -> Gaussian:
         """With a process in the covariance of the residuals."""
-        rotated = process.rotated(process.sums(self.sums.rows), cell.length)
+        rotated = process.rotated(self.sums, cell.length)
         return self._less(gram(rotated, process.shrinkage(cell)[:, None] * rotated))
 
     def _less(self, products: Array) -> Gaussian:
@@ -345,10 +345,9 @@ class Gaussian:
         """The evidence with something unnamed beside the model, summed over τ and ℓ."""
         if not process.blocks:
             return Spread(self.log_evidence, SMALLEST, 0.0)
-        sums, logs = process.sums(self.sums.rows), np.full((len(TAUS), len(LENGTHS)), -np.inf)
-        row = 0
+        logs, row = np.full((len(TAUS), len(LENGTHS)), -np.inf), 0
         for length in range(len(LENGTHS)):
-            rotated = process.rotated(sums, length)
+            rotated = process.rotated(self.sums, length)
 
             def log_at(row: int, rotated: Array = rotated, length: int = length) -> float:
                 cell = Cell(float(TAUS[row]), length)
@@ -372,7 +371,7 @@ class Gaussian:
 
     def beyond(self, columns: Array) -> tuple[Array, Array]:
         """(q, q), (q,): products of (r, q) further columns, and with the residuals, of what nothing here can follow."""
-        moved, fixed = gram(self.sums.moved, columns), gram(self.sums.fixed, columns)
+        moved, fixed = gram(self.sums.moved, columns), self.sums.fixed.onto(columns)
         cross = np.vstack([moved[:-1], fixed])
         solved = self.inverse @ np.column_stack([cross, self.g])
         return gram(columns, columns) - cross.T @ solved[:, :-1], moved[-1] - cross.T @ solved[:, -1]

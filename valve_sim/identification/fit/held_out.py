@@ -136,8 +136,8 @@ class _Following:
         fit, sums = self._fit, self._fit.gaussian.sums
         if not self._moving:
             return {}
-        rows = np.hstack([sums.moved[:, self._moving], sums.fixed])
-        steps = -self._inverse @ gram(rows, change)
+        along = np.concatenate([gram(sums.moved[:, self._moving], change), sums.fixed.onto(change)])
+        steps = -self._inverse @ along
         at = fit.coordinates.copy()
         at[self._moving] += steps[: len(self._moving)]
         moved = fit.values_at(at)

@@ -21,6 +21,7 @@ from valve_sim.identification.fit.column_groups import ColumnGroup
 from valve_sim.identification.fit.gram import gram
 from valve_sim.identification.fit.problem import Problem
 from valve_sim.identification.fit.unknown import Unknown
+from valve_sim.identification.fit.white_columns import WhiteColumns
 from valve_sim.identification.plants.protocol import Array, Direction
 from valve_sim.model import SimulationError
 
@@ -41,12 +42,12 @@ class Sums:
 
     Attributes:
         moved: (r, k + 1) rows of derivatives J and of residuals e; none of a long recording.
-        fixed: (r, q) −B. products: (k + q + 1, k + q + 1) of [J | −B | e].
+        fixed: −B. products: (k + q + 1, k + q + 1) of [J | −B | e].
         constant: what the rows' criterion is short of that of all samples.
     """
 
     moved: Array
-    fixed: Array
+    fixed: WhiteColumns
     products: Array
     constant: float
 
@@ -58,7 +59,7 @@ class Sums:
     @property
     def rows(self) -> Array:
         """(r, k + q + 1) [J | −B | e]."""
-        return np.hstack([self.moved[:, :-1], self.fixed, self.moved[:, -1:]])
+        return np.hstack([self.moved[:, :-1], self.fixed.dense(), self.moved[:, -1:]])
 
 
 class Model:
@@ -106,14 +107,9 @@ class Model:
         return found
 
     @cached_property
-    def fixed(self) -> Array:
-        """(r, q) derivatives of the residuals by the coefficients of columns."""
-        return -self.problem.white_columns[:, [own.column for own in self.linear]]
-
-    @cached_property
-    def _fixed_products(self) -> Array:
-        places = [own.column for own in self.linear]
-        return self.problem.column_products[np.ix_(places, places)]
+    def fixed(self) -> WhiteColumns:
+        """Derivatives of the residuals by the coefficients of columns."""
+        return self.problem.white_columns.chosen([own.column for own in self.linear])
 
     @cached_property
     def _directed(self) -> list[list[int]]:
@@ -184,9 +180,9 @@ class Model:
         products = np.empty((k + q + 1, k + q + 1))
         outer = np.r_[0:k, k + q]
         products[np.ix_(outer, outer)] = gram(moved, moved)
-        cross = gram(self.fixed, moved) if q else np.empty((0, k + 1))
+        cross = self.fixed.onto(moved)
         products[k:-1, outer], products[outer, k:-1] = cross, cross.T
-        products[k:-1, k:-1] = self._fixed_products
+        products[k:-1, k:-1] = self.fixed.products
         if not np.isfinite(products).all():
             raise SimulationError("the derivatives are too large to be squared, or not finite")
         return Sums(moved, self.fixed, products, self.problem.rows.constant)
@@ -204,7 +200,7 @@ class Model:
         products = np.empty((len(z) + 1, len(z) + 1))
         products[:-1, :-1], products[-1, -1] = sums.information, sums.squares
         products[:-1, -1] = products[-1, :-1] = sums.gradient
-        return Sums(np.empty((0, len(z) + 1)), np.empty((0, 0)), products, 0.0)
+        return Sums(np.empty((0, len(z) + 1)), WhiteColumns((), 0, 0), products, 0.0)
 
     def _direction(self, places: Sequence[int], z: Array) -> Direction:
         """Along the sum of some coordinates."""

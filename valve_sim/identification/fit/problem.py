@@ -16,7 +16,6 @@ from scipy.special import expit
 
 from valve_sim.identification.fit.budget import Budget
 from valve_sim.identification.fit.columns import Columns
-from valve_sim.identification.fit.gram import gram
 from valve_sim.identification.fit.noise import (
     LARGEST_ORDER,
     SHORT_WINDOW,
@@ -31,6 +30,7 @@ from valve_sim.identification.fit.noise import (
 )
 from valve_sim.identification.fit.priors import Prior, prior_of
 from valve_sim.identification.fit.rows import CondensedRows, Rows
+from valve_sim.identification.fit.white_columns import Block, WhiteColumns
 from valve_sim.identification.plants.protocol import (
     Array,
     Plant,
@@ -39,7 +39,7 @@ from valve_sim.identification.plants.protocol import (
 from valve_sim.model import SimulationError
 from valve_sim.recordings.left_out import largest_beside, running_median
 
-STALE: Final = ("white_columns", "column_products")
+STALE: Final = ("white_columns",)
 """What follows from the errors of the recordings and from the noise."""
 OF_WEIGHTS: Final = ("_condensed_rows", "every_row", "_weights", "samples", "effective_samples")
 """What follows from the weights of samples; the first two from the noise, too."""
@@ -114,19 +114,14 @@ class Problem:
         return self._changed(*STALE, columns=Columns() if self.is_long else columns)
 
     @functools.cached_property
-    def white_columns(self) -> Array:
-        """(r, q) what coefficients of the recordings' errors add to the rows that fits compare."""
+    def white_columns(self) -> WhiteColumns:
+        """(r, q) what coefficients of the recordings' errors take from the residuals of the rows that fits compare."""
         columns, rows = self.columns, self.rows
-        found = np.zeros((len(rows.places.time), len(columns.unknowns)))
-        for channel, (where, own) in rows.whitened_columns(columns.samples).items():
-            first = columns.first[channel]
-            found[where, first : first + own.shape[1]] = own
-        return found
-
-    @functools.cached_property
-    def column_products(self) -> Array:
-        """(q, q) products of these."""
-        return gram(self.white_columns, self.white_columns)
+        blocks = [
+            Block(where, columns.first[channel] + np.arange(own.shape[1]), -own)
+            for channel, (where, own) in rows.whitened_columns(columns.samples).items()
+        ]
+        return WhiteColumns(blocks, len(rows.places.time), len(columns.unknowns))
 
     def _changed(self, *stale: str, **fields: object) -> Problem:
         """This problem with other fields, and without what was worked out from those that they replace."""

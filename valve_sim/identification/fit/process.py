@@ -16,13 +16,16 @@ from __future__ import annotations
 
 import itertools
 import math
+import weakref
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from valve_sim.identification.fit.model import Sums
 from valve_sim.identification.fit.problem import Problem
 from valve_sim.identification.fit.rows import RowPlaces
+from valve_sim.identification.fit.white_columns import WhiteColumns
 from valve_sim.identification.plants.protocol import Array
 
 BLOCK: Final = 8
@@ -75,6 +78,7 @@ class Process:
         self._strokes = [np.flatnonzero(self.stroke == number) for number in np.unique(self.stroke)]
         self.eigenvalues = np.zeros((len(LENGTHS), self.blocks))
         self._axes: list[list[Array]] = [[] for _ in LENGTHS]
+        self._fixed = weakref.WeakKeyDictionary[WhiteColumns, list[Array]]()
         self._take_apart(problem, places, channel)
 
     def _take_apart(self, problem: Problem, places: RowPlaces, channel: NDArray[np.intp]) -> None:
@@ -93,17 +97,25 @@ class Process:
                 self.eigenvalues[number, own] = np.maximum(values, 0.0)
                 self._axes[number].append(axes)
 
-    def sums(self, rows: Array) -> Array:
-        """(blocks, k) Uᵀ of (r, k) rows."""
+    def rotated(self, sums: Sums, length: int) -> Array:
+        """(blocks, k + q + 1) Qᵀ Uᵀ [J | −B | e] of a linearisation, for one ℓ."""
+        moved = self._along(self._summed(sums.moved), length)
+        if sums.fixed not in self._fixed:
+            summed = self._summed(sums.fixed.dense())
+            self._fixed[sums.fixed] = [self._along(summed, number) for number in range(len(LENGTHS))]
+        return np.hstack([moved[:, :-1], self._fixed[sums.fixed][length], moved[:, -1:]])
+
+    def _summed(self, rows: Array) -> Array:
+        """(blocks, m) Uᵀ of (r, m) rows."""
         if not self.blocks:
             return np.empty((0, rows.shape[1]))
         return np.asarray(np.add.reduceat(rows[self._order], self._starts, axis=0) / np.sqrt(self._counts)[:, None])
 
-    def rotated(self, sums: Array, length: int) -> Array:
-        """(blocks, k) Qᵀ of sums, for one ℓ."""
-        found = np.empty_like(sums)
+    def _along(self, summed: Array, length: int) -> Array:
+        """(blocks, m) Qᵀ of such sums."""
+        found = np.empty_like(summed)
         for own, axes in zip(self._strokes, self._axes[length], strict=True):
-            found[own] = axes.T @ sums[own]
+            found[own] = axes.T @ summed[own]
         return found
 
     def shrinkage(self, cell: Cell) -> Array:

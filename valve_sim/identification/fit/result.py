@@ -12,7 +12,6 @@ import numpy as np
 
 from valve_sim.identification.fit.descent import MOST, Descended, descend
 from valve_sim.identification.fit.gaussian import Gaussian, MachineKnowledge, Sizes, factored
-from valve_sim.identification.fit.gram import gram
 from valve_sim.identification.fit.model import Model
 from valve_sim.identification.fit.problem import Problem
 from valve_sim.identification.fit.process import Cell, Process
@@ -164,7 +163,7 @@ class Fit:
 
     def errors_following(self, change: Array) -> list[Array]:
         """(n,) of each channel: what its errors add where (r,) residuals have changed so."""
-        return self.shown_by(-self._of_columns @ gram(self.gaussian.sums.fixed, change))
+        return self.shown_by(-self._of_columns @ self.gaussian.sums.fixed.onto(change))
 
     def variance_of_errors(self) -> list[Array]:
         """(n,) of each channel: the variance of what the errors of its sensor add to it."""

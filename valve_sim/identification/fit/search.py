@@ -99,6 +99,7 @@ class Search:
         self.untried: list[Set] = []
         self.impossible: list[Set] = []
         self.forced: dict[Set, float] = {}
+        self._started: dict[Set, list[Start]] = {}
 
     @property
     def problem(self) -> Problem:
@@ -332,7 +333,7 @@ class Search:
         budget, starts = self.problem.budget, dict[Set, list[Start]]()
         for names in due:
             if not budget.is_used_up:
-                starts[names] = self._starts(names)
+                starts[names] = self._started[names] = self._starts(names)
         for names in sorted(starts, key=lambda names: min(one.cost for one in starts[names])):
             if budget.is_used_up:
                 break
@@ -420,7 +421,7 @@ class Search:
         """Let the effect differ from stroke to stroke that then follows them, leaves nothing, and is most probable."""
         fitter, begin = self.fitter, dict[Set, Start]()
         for alone in [names for names in self.tried if len(names) == 1]:
-            starts = [self.tried[alone].values, *(start.values for start in self._starts(alone))]
+            starts = [self.tried[alone].values, *(start.values for start in self._started[alone])]
             each = [Start(fitter.least_with_change(alone, values, alone[0]), values) for values in starts]
             begin[alone] = min(each, key=lambda start: start.cost)
         most = max(map(self.log_weight, self.tried)) + WORTH_A_CHANGE
