@@ -70,3 +70,18 @@ def test_the_inductance_of_the_magnet_depends_on_the_ball(tables: list[Path], tm
     found = report(tables, "force", "maglev", "diagnose", tmp_path)["verdict"]
     assert "inductance_of_distance" in found["effects"]
     assert found["share"] > 0.9
+
+
+def test_the_cylinder_is_corrected_by_friction_that_grows_with_pressure(tmp_path: Path) -> None:
+    folder = DATA / "pneumatic"
+    if not folder.exists():
+        pytest.skip(f"{folder} is missing: these measurements are not in the repository")
+    logs = [str(folder / f"oring_{bar}bar.csv") for bar in (1, 3, 7)]
+    given = ["--plant", str(folder / "plant.yaml"), "--map", str(folder / "map.yaml")]
+    held_out = ["--holdout", str(folder / "oring_5bar.csv")]
+    found = CliRunner().invoke(main, ["diagnose", *logs, *held_out, *given, "--output", str(tmp_path), "--json"])
+    assert found.exit_code == 0, found.output
+    result = json.loads(found.stdout)
+    assert result["verdict"]["kind"] in ("partly", "effects")
+    assert set(result["verdict"]["effects"]) >= {"dry_friction", "pressure_friction"}
+    assert result["after"]["rmse"]["holdout"] < 0.25 * result["before"]["rmse"]["holdout"]

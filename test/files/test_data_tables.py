@@ -305,6 +305,11 @@ def test_marks_that_may_mean_two_things_are_refused(text: str, words: str, tmp_p
         open_table(tmp_path / "a.csv").column("x")
 
 
+def test_whole_numbers_among_three_decimals_are_no_thousands(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("t,x\n0,149.985\n1,150.000\n2,150.015\n3,0\n")
+    np.testing.assert_array_equal(open_table(tmp_path / "a.csv").column("x"), [149.985, 150.0, 150.015, 0.0])
+
+
 def test_cells_stay_in_their_columns_and_a_last_one_may_begin_late(tmp_path: Path) -> None:
     file = tmp_path / "a.txt"
     file.write_text("T\tt\tlift\n23\t0\t\n" + "".join(f"\t{row}\t{'' if row < 12 else row}\n" for row in range(1, 20)))
