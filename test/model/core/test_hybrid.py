@@ -510,3 +510,21 @@ outputs: {first: {value: v, unit: m/s}, second: {value: w, unit: m/s}, third: {v
     shown = run(text, held([0.0, 1.0, 2.0], [0.0, 3.0, 0.0]), np.array([1.0, 2.0, 5.0]))
     rate = 0.5 * (3.0 - 1.0 - 0.2 - 0.5)
     assert shown.outputs == pytest.approx(np.array([[0.0, 0.0, 0.0], [rate, rate, 0.0], [0.0, 0.0, 0.0]]), abs=1e-9)
+
+
+def test_derivatives_by_when_an_input_changes() -> None:
+    """The plunger is lifted from its seat by a pulse, falls back and bounces: each edge moves all of it."""
+    edges, levels, times = np.array([0.0, 0.2001, 0.2057]), [0.0, 30.0, 0.0], np.arange(0.0, 0.4, 1.7e-3)
+    file = file_of(PLUNGER)
+
+    def shown(at: Array, moves: Array | None = None) -> Shown:
+        how = {} if moves is None else {"directions": [{}, {}], "moves": moves}
+        return machine_of(file).run(*numbers_of(file), held(at.tolist(), levels), times, tolerance=FINE, **how)
+
+    found = shown(edges, np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
+    assert [own.name for own in found.events].count("lifted") == 1
+    for place in (1, 2):
+        by = 1e-7 * np.eye(3)[place]
+        expected = (shown(edges + by).outputs[:, 0] - shown(edges - by).outputs[:, 0]) / 2e-7
+        assert np.max(np.abs(expected)) > 1.0
+        np.testing.assert_allclose(found.slopes[:, 0, place - 1], expected, atol=1e-6 * np.max(np.abs(expected)))

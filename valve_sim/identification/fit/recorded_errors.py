@@ -29,7 +29,7 @@ PICTURED: Final = 200
 """Points of a picture."""
 LIKELY: Final = 0.9
 """Probability from which an error is said to be there."""
-OF_CLOCKS: Final = ("clock_offset", "clock_rate", "command_stamps")
+OF_CLOCKS: Final = ("clock_offset", "clock_rate", "command_stamps", "input_edges")
 """Errors that every recording has, and that findings on a fit say by themselves."""
 EVEN: Final = 0.5
 """Probability from which an error is expected of further data."""
@@ -146,21 +146,21 @@ def _with_advice_on_clock(entry: RecordedError, plant: Plant) -> RecordedError:
 
 
 def _of_stamps(result: Fit) -> Iterator[RecordedError]:
-    """The scatter of commands' stamps, of a fit that estimates them."""
-    late: dict[int, list[float]] = {}
+    """The scatter of commands' stamps, and of when inputs jumped, of a fit that estimates them."""
+    late: dict[tuple[int, str], list[float]] = {}
     for own in result.nuisances:
-        if own.error == "command_stamps" or own.name.startswith("command_error["):
+        if own.error in ("command_stamps", "input_edges") or own.name.startswith("command_error["):
             recording = result.problem.plant.channels[own.channels[0]].recording
-            late.setdefault(recording, []).append(result.values[own.name])
-    for recording, found in late.items():
+            late.setdefault((recording, own.error or "command_stamps"), []).append(result.values[own.name])
+    for (recording, error_of), found in late.items():
         values = np.array(found)
         size = math.sqrt(float(np.mean(np.square(values))))
         # Of so many draws the standard deviation is known to this share.
         error = size / math.sqrt(2.0 * len(values))
         amount = _Amount(size, error, max(0.0, size - 1.96 * error), size + 1.96 * error, 1.0)
         yield replace(
-            _entry(recording, "command_stamps", amount, "s"), at=np.arange(1.0, len(values) + 1.0), shown=values,
-            over="command",
+            _entry(recording, error_of, amount, "s"), at=np.arange(1.0, len(values) + 1.0), shown=values,
+            over="command" if error_of == "command_stamps" else "jump",
         )  # fmt: skip
 
 

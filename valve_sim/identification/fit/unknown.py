@@ -283,9 +283,6 @@ class Unknowns:
     hypotheses: Mapping[str, Hypothesis]
 
 
-STAMPS: Final = "command_stamps"
-
-
 def unknowns_of(plant: Plant, free: Sequence[str] | None = None) -> Unknowns:
     """What may be freed of a plant, but for the errors of its recordings.
 
@@ -295,7 +292,7 @@ def unknowns_of(plant: Plant, free: Sequence[str] | None = None) -> Unknowns:
     Raises:
         KeyError: there is no such name.
     """
-    groups = {own.sigma: Group(STAMPS, STAMPS, own.sigma) for own in plant.timing_errors}
+    groups = {own.sigma: Group(own.error, own.error, own.sigma) for own in plant.timing_errors}
     return Unknowns(
         tuple(freed(plant, name) for name in (plant.base if free is None else free)),
         tuple(known(own) for own in plant.nuisances),

@@ -7,6 +7,7 @@ nuisances. Derivatives of all of them come from the same run.
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Mapping, Sequence
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 
 from valve_sim.files.changed_plants import changed_plant, save_plant
 from valve_sim.files.plant_files import InputEntry, OutputEntry, PlantFile
+from valve_sim.identification.plants.input_edges import Edge, edge_errors, edges_of, with_edges, without_noise
 from valve_sim.identification.plants.own_model import VALUE, OwnModel
 from valve_sim.identification.plants.protocol import (
     Advice,
@@ -32,7 +34,7 @@ from valve_sim.identification.plants.protocol import (
 )
 from valve_sim.identification.plants.recorded import Prediction, RecordedPlant
 from valve_sim.model.core.own.grammar import walk
-from valve_sim.model.core.own.simulation import Inputs, without_straight
+from valve_sim.model.core.own.simulation import Inputs, level_at, without_straight
 from valve_sim.model.core.own.units import same
 from valve_sim.model.errors import SimulationError
 from valve_sim.recordings.columns import Column, Columns
@@ -101,8 +103,8 @@ class Number(NamedTuple):
 class OwnPlant(RecordedPlant[OwnModel]):
     """A machine of a user's own with its recordings.
 
-    All columns of a recording share a clock: it has no errors of stamps. Which inputs the machine may be given is not
-    known: it has no experiments.
+    All columns of a recording share a clock; only when inputs jumped between two of its readings is not known. Which
+    inputs the machine may be given is not known: it has no experiments.
 
     Raises:
         PlantFileError: its equations are more than the integrator has room for.
@@ -118,6 +120,8 @@ class OwnPlant(RecordedPlant[OwnModel]):
         self._of_channel: list[tuple[int, str]] = []
         super().__init__(model, [own for place in enumerate(recordings) for own in self._measured_by(*place)])
         self._runs = [run for place in enumerate(recordings) for run in self._runs_of(*place)]
+        self._edges = [self._edges_of(*place) for place in enumerate(recordings)]
+        self._driven = [self._stepped(run) for run in self._runs]
         self._starts: list[list[Number]] = [[] for _ in self._runs]
         self._nuisances = (*self._of_machine(), *self._of_starts(), *self._of_columns())
         self._numbers = [self._of_run(run) for run in self._runs]
@@ -130,6 +134,13 @@ class OwnPlant(RecordedPlant[OwnModel]):
     def nuisances(self) -> Sequence[Nuisance]:
         """Values with a tolerance, starts, and errors of the columns."""
         return self._nuisances
+
+    @functools.cached_property
+    def timing_errors(self) -> Sequence[Nuisance]:
+        """When inputs that hold have jumped, where a recording shows it to an interval of its readings only."""
+        longest = max((edge.interval for edges in self._edges for edge in edges), default=0.0)
+        pairs = enumerate(self._edges)
+        return [own for index, edges in pairs for own in edge_errors(edges, self.channels_in(index), longest)]
 
     @property
     def advice(self) -> Advice:
@@ -176,12 +187,29 @@ class OwnPlant(RecordedPlant[OwnModel]):
                 {one.name: by for one in (*of_machine, *starts) if (by := one.slope(direction.slopes))}
                 for direction in directions
             ]
-            acting = [k for k, one in enumerate(own) if one]
-            inputs = delayed(run.inputs, [delays.get(name, 0.0) for name in self.file.inputs])
+            edges, inputs = self._driven[place]
+            moving = [any(edge.name in direction.slopes for edge in edges) for direction in directions]
+            acting = [k for k, one in enumerate(own) if one or moving[k]]
+            later = [values.get(edge.name, 0.0) for edge in edges]
+            of_inputs = [delays.get(name, 0.0) for name in self.file.inputs]
+            if any(later) or any(of_inputs):
+                edges = [edge._replace(time=edge.time + of_inputs[edge.columns[0]]) for edge in edges]
+                inputs = with_edges(delayed(run.inputs, of_inputs), edges, later)
             samples, rows_of = late(run, delays)
+            moves = np.zeros((len(inputs.times), len(acting)))
+            for edge, by in zip(edges, later, strict=True):
+                row = int(np.searchsorted(inputs.times, edge.time + by, side="right")) - 1
+                moves[row] = [directions[k].slopes.get(edge.name, 0.0) for k in acting]
             try:
                 shown, changes, *_ = machine.run(
-                    numbers, start, inputs, samples, [own[k] for k in acting], run.start, self._most(place)
+                    numbers,
+                    start,
+                    inputs,
+                    samples,
+                    [own[k] for k in acting],
+                    run.start,
+                    self._most(place),
+                    moves=moves if any(moving) else None,
                 )
             except SimulationError as error:
                 raise SimulationError(f"{self.file.path}: {self.recordings[run.recording].source}: {error}") from error
@@ -255,6 +283,28 @@ class OwnPlant(RecordedPlant[OwnModel]):
                 kept = _between(inputs, first - longest, float(own[-1]))
                 runs.append(Run(index, number, float(first), kept, own, rows))
         return runs
+
+    def _edges_of(self, index: int, recording: Columns) -> list[Edge]:
+        inputs = [(recording[name], own) for name, own in self.file.inputs.items()]
+        if not inputs or not self.file.states:
+            return []
+        columns = [(column.times, column.si(own.unit)) for column, own in inputs]
+        held = [own.held if column.held is None else column.held for column, own in inputs]
+        steps = [float(np.median(np.diff(self._channels[place].times))) for place in self.channels_in(index)]
+        return edges_of(index, columns, held, min(steps))
+
+    def _stepped(self, run: Run) -> tuple[list[Edge], Inputs]:
+        """The jumps of the inputs of a run, and the inputs as they step there."""
+        edges = self._edges_in(run)
+        return edges, with_edges(run.inputs, edges, [0.0] * len(edges))
+
+    def _edges_in(self, run: Run) -> list[Edge]:
+        """The jumps of inputs on the way of a run, not at its ends."""
+        times = run.inputs.times
+        if not len(times):
+            return []
+        first, last = max(run.start, float(times[0])), float(times[-1])
+        return [own for own in self._edges[run.recording] if first < own.time - own.interval and own.time <= last]
 
     def _measured_by(self, index: int, recording: Columns) -> list[Channel]:
         channels = []
@@ -425,15 +475,11 @@ def inputs_of(file: PlantFile, recording: Columns | None) -> Inputs:
     times = np.unique(np.concatenate([column.times for column in columns]))
     levels = np.empty((len(times), len(columns)))
     for place, (column, own) in enumerate(pairs):
-        levels[:, place] = level_at(times, column.times, column.si(own.unit), is_held=held[place])
+        readings = column.si(own.unit)
+        # What is held was commanded, and has no noise.
+        seen = readings if held[place] else without_noise(readings)
+        levels[:, place] = level_at(times, column.times, seen, is_held=held[place])
     return Inputs(times, levels, held)
-
-
-def level_at(times: Array, of: Array, levels: Array, *, is_held: bool) -> Array:
-    """(n,) an input at some times: held from each of its own times `of` to the next, or straight between them."""
-    if is_held:
-        return np.asarray(levels[np.maximum(np.searchsorted(of, times, side="right") - 1, 0)])
-    return np.interp(times, of, levels)
 
 
 def delayed(inputs: Inputs, delays: Sequence[float]) -> Inputs:

@@ -9,10 +9,10 @@ import numpy as np
 from valve_sim.files.plant_entries import PlantFileError
 from valve_sim.files.plant_files import PlantFile
 from valve_sim.files.recording_map import MapError
-from valve_sim.identification.plants.own import Run, delayed, inputs_of, late, level_at
+from valve_sim.identification.plants.own import Run, delayed, inputs_of, late
 from valve_sim.identification.plants.protocol import Array
 from valve_sim.model.core.hybrid.system import EquationsError
-from valve_sim.model.core.own.simulation import Event, Machine, without_straight
+from valve_sim.model.core.own.simulation import Event, Machine, level_at, without_straight
 from valve_sim.model.errors import SimulationError
 from valve_sim.recordings.columns import Columns
 

@@ -35,7 +35,8 @@ def validate_plant(plant: Plant, tolerance: float | None = None) -> Validation:
     """
     finite_prediction(plant, {})
     problem = Problem(plant)
-    found = fit(problem, [known(own) for own in plant.nuisances if not own.is_of_machine], {})
+    own = [*plant.nuisances, *plant.timing_errors]
+    found = fit(problem, [known(one) for one in own if not one.is_of_machine], {})
     replays = []
     for index, (channel, shown, left) in enumerate(
         zip(plant.channels, plant.predict(found.values), _left_by_tolerances(found), strict=True)

@@ -8,7 +8,7 @@ plant in place of columns, whose size is estimated in the same way. `ERRORS` is 
 from typing import Final
 
 from valve_sim.identification.fit.errors.bend import BEND
-from valve_sim.identification.fit.errors.clocks import CLOCK_OFFSET, CLOCK_RATE, COMMAND_STAMPS
+from valve_sim.identification.fit.errors.clocks import CLOCK_OFFSET, CLOCK_RATE, COMMAND_STAMPS, INPUT_EDGES
 from valve_sim.identification.fit.errors.drift import DRIFT
 from valve_sim.identification.fit.errors.error import RecordingError, Seen
 from valve_sim.identification.fit.errors.hum import HUM
@@ -19,8 +19,8 @@ from valve_sim.identification.fit.errors.supply import SUPPLY
 from valve_sim.identification.fit.errors.zero import ZERO
 
 ERRORS: Final = (
-    CLOCK_OFFSET, CLOCK_RATE, COMMAND_STAMPS, ZERO, DRIFT, HUM, SCALE, BEND, RINGING, RINGING_SCATTER, SUPPLY,
-    STROKE_VARIATION,
+    CLOCK_OFFSET, CLOCK_RATE, COMMAND_STAMPS, INPUT_EDGES, ZERO, DRIFT, HUM, SCALE, BEND, RINGING, RINGING_SCATTER,
+    SUPPLY, STROKE_VARIATION,
 )  # fmt: skip
 """Every error of a recording, in the order in which reports list them."""
 

@@ -14,6 +14,10 @@ CLOCK_RATE: Final = RecordingError(
     "clock_rate", "rate of the commands' clock to that of the samples",
     "stamp samples and commands on one machine, or synchronise the two", is_known=True,
 )  # fmt: skip
+INPUT_EDGES: Final = RecordingError(
+    "input_edges", "when inputs jumped, between two readings",
+    "sample the inputs faster, or record when they are switched", is_known=True,
+)  # fmt: skip
 COMMAND_STAMPS: Final = RecordingError(
     "command_stamps", "scatter of the commands' stamps",
     "stamp a command where the voltage is switched, or record the voltage", is_known=True,

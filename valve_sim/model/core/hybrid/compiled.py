@@ -43,10 +43,12 @@ class Changes:
 
     Args:
         rows: (k, 1 + 2 inputs) s, and from then on a value and a slope of each input; the first is of the start.
+        moves: (k, directions) derivatives of the times; None: they are known.
     """
 
-    def __init__(self, rows: Array) -> None:
+    def __init__(self, rows: Array, moves: Array | None = None) -> None:
         self.rows = np.ascontiguousarray(rows, dtype=np.float64)
+        self.moves, self.has_moves = (self.rows, 0) if moves is None else (np.ascontiguousarray(moves), 1)
         self.address, self.count = self.rows.ctypes.data, len(self.rows)
         self.has_slopes = bool(np.any(self.rows[:, 2::2]))
 
@@ -158,8 +160,9 @@ class Compiled:
         block[at.SAMPLED] = block[at.EVENTS] = block[at.TAKEN] = 0.0
         rows, slopes = np.empty((count, self.outputs)), np.empty((count, self.outputs, self.width))
         outcome = _drive()(
-            *room.addresses[:2], changes.address, changes.count, times[-1], most, times.ctypes.data, count,
-            rows.ctypes.data, slopes.ctypes.data, room.addresses[2], len(room.events),
+            *room.addresses[:2], changes.address, changes.count, changes.moves.ctypes.data, changes.has_moves,
+            times[-1], most, times.ctypes.data, count, rows.ctypes.data, slopes.ctypes.data, room.addresses[2],
+            len(room.events),
         )  # fmt: skip
         events = room.events[: int(block[at.EVENTS])].copy()
         return Run(outcome, float(block[at.TIME]), int(block[at.TAKEN]), rows, slopes, events)
@@ -174,6 +177,7 @@ def _loaded() -> machine.Library:
 def _drive():  # type: ignore[no-untyped-def]
     pointer, integer, double = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double
     arguments = (
-        pointer, pointer, pointer, integer, double, double, pointer, integer, pointer, pointer, pointer, integer
+        pointer, pointer, pointer, integer, pointer, integer, double, double, pointer, integer, pointer, pointer,
+        pointer, integer,
     )  # fmt: skip
     return ctypes.CFUNCTYPE(integer, *arguments)(_loaded().address("drive"))

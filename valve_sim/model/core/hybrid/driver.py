@@ -412,18 +412,28 @@ def log_event(b: Block, transition: int, events: Block, room: int) -> None:
     b[at.EVENTS] = count + 1
 
 
-def take_inputs(b: Block, t: Block, change: Block) -> None:
-    """Inputs change now: a value and a slope each."""
+def take_inputs(b: Block, t: Block, change: Block, moves: Block, has_moves: int) -> None:
+    """Inputs change now: a value and a slope each; moves: (width,) derivatives of when, if there are any."""
+    width = int(b[at.WIDTH])
+    moved = 0
+    for k in range(width):
+        t[at.DELTA * width + k] = 0.0
+        if has_moves > 0 and moves[k] != 0.0:
+            t[at.DELTA * width + k] = moves[k]
+            moved = 1
+    if moved > 0:
+        look(b, t)
+        move_tangents(b, t, 1.0)
     inputs = int(b[at.INPUTS])
     for i in range(inputs):
         b[at.INPUT + i] = change[2 * i]
         b[at.SLOPE + i] = change[2 * i + 1]
-    width = int(b[at.WIDTH])
-    for k in range(width):
-        t[at.DELTA * width + k] = 0.0
     b[at.HAS_CHANGED] = 1.0
     b[at.IS_PENDING] = 0.0
     decide(b, t, -1)
+    if moved > 0:
+        look(b, t)
+        move_tangents(b, t, -1.0)
 
 
 # -- runs --------------------------------------------------------------------------------------------------------------
@@ -495,15 +505,17 @@ def run(
 
 
 def drive(
-    b: Block, t: Block, changes: Block, change_count: int, end: float, most: float, times: Block, count: int,
-    rows: Block, slopes: Block, events: Block, room: int,
+    b: Block, t: Block, changes: Block, change_count: int, moves: Block, has_moves: int, end: float, most: float,
+    times: Block, count: int, rows: Block, slopes: Block, events: Block, room: int,
 ) -> int:  # fmt: skip
     """Step a machine through changes of its inputs to a time, s; arguments and outcome: see `run`.
 
     changes: (change_count, 1 + 2 inputs) s, and a value and a slope of each input; the first is that of the start.
+    moves: (change_count, width) derivatives of the times of the changes, if there are any.
     """
     invoke(b[at.ENTER], b, t)
     size = 1 + 2 * int(b[at.INPUTS])
+    width = int(b[at.WIDTH])
     for number in range(change_count):
         change = changes[size * number :]
         if change[0] > end:
@@ -512,7 +524,7 @@ def drive(
             outcome = run(b, t, change[0], True, most, times, count, rows, slopes, events, room)
             if outcome != FINISHED:
                 return outcome
-        take_inputs(b, t, change[1:])
+        take_inputs(b, t, change[1:], moves[number * width :], has_moves)
     return run(b, t, end, False, most, times, count, rows, slopes, events, room)
 
 

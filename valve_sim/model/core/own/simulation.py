@@ -27,8 +27,8 @@ LIVE_EVENTS: Final = 4096
 """Events that a piece of a live run may have; later ones are not told."""
 MOST_LIVE: Final = 4_000_000
 """Steps of a piece of a live run."""
-MOST_DRIVEN: Final = 256
-"""Inputs whose changes are kept."""
+MOST_DRIVEN: Final = 2_000_000
+"""Changes of inputs that are kept, with the inputs."""
 
 
 class Inputs(NamedTuple):
@@ -91,6 +91,7 @@ class Machine:
         start_time: float | None = None,
         most: int | None = None,
         tolerance: float = TOLERANCE,
+        moves: Array | None = None,
     ) -> Shown:
         """What the outputs are at some times.
 
@@ -102,6 +103,7 @@ class Machine:
             start_time: s; default the first sample or the first time of the inputs, whichever is earlier.
             most: steps that it may take; default so many that hardly any equations need more.
             tolerance: relative error of a step, of the largest size that a state has had so far.
+            moves: (k, directions) derivatives of the times of inputs that hold; None: none changes.
 
         Raises:
             SimulationError: a number is not finite, or the run takes too many steps.
@@ -119,7 +121,13 @@ class Machine:
         for first in range(0, len(directions), WIDTHS[-1]) or (0,):
             part = directions[first : first + WIDTHS[-1]]
             compiled = self._with_width(next(own for own in WIDTHS if own >= len(part)))
-            runs.append(compiled.run(states, values, part, changes, samples, most, tolerance))
+            driven = changes
+            if moves is not None:
+                of_changes = np.zeros((changes.count, compiled.width))
+                kept = min(changes.count, len(moves))
+                of_changes[-kept:, : len(part)] = moves[-kept:, first : first + len(part)]
+                driven = Changes(changes.rows, of_changes)
+            runs.append(compiled.run(states, values, part, driven, samples, most, tolerance))
             self.check(runs[-1])
         if len(runs) == 1:
             return Shown(runs[0].outputs, runs[0].slopes, self._events(runs[0].events), runs[0].steps)
@@ -151,7 +159,7 @@ class Machine:
         key = id(inputs), time
         found = self._driven.get(key)
         if found is None or found[0] is not inputs:
-            if len(self._driven) >= MOST_DRIVEN:
+            if sum(len(kept.times) for kept, _ in self._driven.values()) > MOST_DRIVEN:
                 self._driven.clear()
             found = self._driven[key] = inputs, Changes(_changes(inputs, time))
         return found[1]
@@ -266,7 +274,9 @@ def _changes(inputs: Inputs, time: float) -> Array:
     if not len(times):
         return np.array([[time] + [0.0] * (2 * count)])
     slopes = np.zeros((len(times), count))
-    slopes[:-1, ~held] = (np.diff(levels, axis=0) / np.diff(times)[:, None])[:, ~held]
+    lasts = np.diff(times)[:, None]
+    # Of two rows of one time, at which an input steps, the second counts.
+    slopes[:-1, ~held] = np.diff(levels[:, ~held], axis=0) / np.where(lasts > 0.0, lasts, math.inf)
     first = max(0, int(np.searchsorted(times, time, side="right")) - 1)
     changes = np.empty((len(times) - first, 1 + 2 * count))
     changes[:, 0], changes[:, 1::2], changes[:, 2::2] = times[first:], levels[first:], slopes[first:]
@@ -277,6 +287,13 @@ def _changes(inputs: Inputs, time: float) -> Array:
     changes[0, 0] = time
     changes[0, 1::2] += begun * slopes[first]
     return changes
+
+
+def level_at(times: Array, of: Array, levels: Array, *, is_held: bool) -> Array:
+    """(n,) an input at some times: held from each of its own times `of` to the next, or straight between them."""
+    if is_held:
+        return np.asarray(levels[np.maximum(np.searchsorted(of, times, side="right") - 1, 0)])
+    return np.interp(times, of, levels)
 
 
 def without_straight(inputs: Inputs) -> Inputs:
