@@ -528,3 +528,33 @@ def test_derivatives_by_when_an_input_changes() -> None:
         expected = (shown(edges + by).outputs[:, 0] - shown(edges - by).outputs[:, 0]) / 2e-7
         assert np.max(np.abs(expected)) > 1.0
         np.testing.assert_allclose(found.slopes[:, 0, place - 1], expected, atol=1e-6 * np.max(np.abs(expected)))
+
+
+TRAIN = """
+plant: equations
+states: {a: {unit: rad}, va: {unit: rad/s}, b: {unit: rad}, vb: {unit: rad/s}}
+inputs: {torque: {unit: N*m, between: held}}
+parameters: {ja: {value: 2.0e-3, unit: kg*m^2}, jb: {value: 4.0e-3, unit: kg*m^2}, shaft: {value: 8, unit: N*m/rad},
+             drag: {value: 8.0e-4, unit: N*m*s^2/rad^2}, hardening: {value: 900, unit: N*m/rad^3}}
+derivatives:
+  a: va
+  va: (torque - shaft*(a - b) - hardening*(a - b)**3)/ja
+  b: vb
+  vb: (shaft*(a - b) + hardening*(a - b)**3 - drag*vb*abs(vb))/jb
+outputs: {angle: {value: b, unit: rad}}
+"""
+
+
+@pytest.mark.parametrize("name", ["drag", "hardening"])
+def test_a_derivative_that_begins_with_a_high_power_of_time(name: str) -> None:
+    """Two inertias from rest: the shaft twists by t², the second one turns by t³, and what brakes it grows by t⁶."""
+    file, times = file_of(TRAIN), np.linspace(0.0, 0.5, 101)
+    inputs, (numbers, start) = held([0.0, 0.2], [0.5, -0.3]), numbers_of(file)
+
+    def angle(by: float) -> Array:
+        changed = {**numbers, name: numbers[name] * (1.0 + by)}
+        return machine_of(file).run(changed, start, inputs, times, tolerance=FINE).outputs[:, 0]
+
+    found = machine_of(file).run(numbers, start, inputs, times, [{name: numbers[name]}], tolerance=FINE).slopes[:, 0, 0]
+    expected = (angle(1e-4) - angle(-1e-4)) / 2e-4
+    np.testing.assert_allclose(found, expected, atol=1e-6 * np.max(np.abs(expected)))

@@ -121,7 +121,6 @@ class OwnPlant(RecordedPlant[OwnModel]):
         super().__init__(model, [own for place in enumerate(recordings) for own in self._measured_by(*place)])
         self._runs = [run for place in enumerate(recordings) for run in self._runs_of(*place)]
         self._edges = [self._edges_of(*place) for place in enumerate(recordings)]
-        self._driven = [self._stepped(run) for run in self._runs]
         self._starts: list[list[Number]] = [[] for _ in self._runs]
         self._nuisances = (*self._of_machine(), *self._of_starts(), *self._of_columns())
         self._numbers = [self._of_run(run) for run in self._runs]
@@ -187,14 +186,14 @@ class OwnPlant(RecordedPlant[OwnModel]):
                 {one.name: by for one in (*of_machine, *starts) if (by := one.slope(direction.slopes))}
                 for direction in directions
             ]
-            edges, inputs = self._driven[place]
+            # Where the data do not ask for their times, inputs are as they are declared.
+            edges = [edge for edge in self._edges_in(run) if edge.name in values]
             moving = [any(edge.name in direction.slopes for edge in edges) for direction in directions]
             acting = [k for k, one in enumerate(own) if one or moving[k]]
             later = [values.get(edge.name, 0.0) for edge in edges]
             of_inputs = [delays.get(name, 0.0) for name in self.file.inputs]
-            if any(later) or any(of_inputs):
-                edges = [edge._replace(time=edge.time + of_inputs[edge.columns[0]]) for edge in edges]
-                inputs = with_edges(delayed(run.inputs, of_inputs), edges, later)
+            edges = [edge._replace(time=edge.time + of_inputs[edge.columns[0]]) for edge in edges]
+            inputs = with_edges(delayed(run.inputs, of_inputs), edges, later)
             samples, rows_of = late(run, delays)
             moves = np.zeros((len(inputs.times), len(acting)))
             for edge, by in zip(edges, later, strict=True):
@@ -292,11 +291,6 @@ class OwnPlant(RecordedPlant[OwnModel]):
         held = [own.held if column.held is None else column.held for column, own in inputs]
         steps = [float(np.median(np.diff(self._channels[place].times))) for place in self.channels_in(index)]
         return edges_of(index, columns, held, min(steps))
-
-    def _stepped(self, run: Run) -> tuple[list[Edge], Inputs]:
-        """The jumps of the inputs of a run, and the inputs as they step there."""
-        edges = self._edges_in(run)
-        return edges, with_edges(run.inputs, edges, [0.0] * len(edges))
 
     def _edges_in(self, run: Run) -> list[Edge]:
         """The jumps of inputs on the way of a run, not at its ends."""

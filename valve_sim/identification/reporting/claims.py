@@ -127,7 +127,8 @@ def grounds(diagnosis: Diagnosis) -> Iterator[str]:
     if untried:
         few = ", ".join(untried[:SHOWN_UNTRIED]) + (", ..." if len(untried) > SHOWN_UNTRIED else "")
         sets, they = ("set was", "it") if len(untried) == 1 else ("sets were", "they")
-        yield f"{len(untried)} {sets} not tried, because the budget ended or {they} cannot be simulated: {few}."
+        budget = "the budget ended or " if verdict.is_cut_short else ""
+        yield f"{len(untried)} {sets} not tried, because {budget}{they} cannot be simulated: {few}."
     if verdict.is_cut_short:
         yield (
             f"The budget of {diagnosis.allowed:,.0f} simulated strokes ended before the search did: repeat with a "

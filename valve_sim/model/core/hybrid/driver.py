@@ -107,6 +107,7 @@ def step_of_tangents(b: Block, t: Block) -> float:
     """The step in which the last two terms of all tangents' series are small, too; s, at most the step at hand.
 
     Tangents fade, and turn, even where what they are of stands still. Errors are relative to their largest size so far.
+    One that begins with its last terms is still nothing: no step, however short, would have it begin otherwise.
     """
     h = b[at.STEP]
     states = int(b[at.STATES])
@@ -126,7 +127,7 @@ def step_of_tangents(b: Block, t: Block) -> float:
                 for order in range(1, at.ORDER - 1):
                     size = max(size, abs(c[order * width]) * grown)
                     grown *= h
-                if last > tolerated * size:
+                if last > tolerated * size and size > 0.0:
                     shortest = min(shortest, h * math.sqrt(math.sqrt(math.sqrt(tolerated * size / last))))
     return float(shortest)
 
