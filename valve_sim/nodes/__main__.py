@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from valve_sim.nodes import ending  # noqa: F401 -- first, for its effect
+from valve_sim import early_signals  # noqa: F401 -- first, for its effect
 from valve_sim.nodes.starting import Program, chosen
 
 valve_node = Program(
@@ -76,7 +76,6 @@ command_profile = Program(
 """,
     "docs/how_to/record_next.md",
     codes="0 when all was sent, 1 otherwise, 2 for unusable input",
-    unstarted=1,
 )
 
 if __name__ == "__main__":

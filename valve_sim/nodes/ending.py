@@ -1,23 +1,12 @@
-"""How a program ends: SIGINT and SIGTERM end it at once while its node is not there, and ask the node to end later.
-
-Imported first by what runs programs: a signal that comes while modules load ends them without a traceback. So it loads
-no more than it must.
-"""
+"""How a program ends: SIGINT and SIGTERM end it at once while its node is not there, and ask the node to end later."""
 
 from __future__ import annotations
 
 import os
 import signal
-import sys
+from types import FrameType
 
-TYPE_CHECKING = False  # of `typing`, which would be loaded before signals are handled
-if TYPE_CHECKING:
-    from types import FrameType
-
-    from valve_sim.nodes.threads import StopRequest
-
-_PROGRAMS = ("_node", "command_profile", "nodes/__main__.py", "station/__main__.py")
-"""What the first word of a program's command line ends in; others that import this keep their signals."""
+from valve_sim.nodes.threads import StopRequest
 
 _NUMBERS = (signal.SIGINT, signal.SIGTERM)
 
@@ -48,8 +37,3 @@ class Signals:
         """
         for number in _NUMBERS:
             signal.signal(number, signal.SIG_IGN)
-
-
-if sys.argv[0].endswith(_PROGRAMS):
-    # The code of command_profile says whether all was sent.
-    Signals(int(any(word.endswith("command_profile") for word in sys.argv[:2])))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from valve_sim.nodes import ending  # noqa: F401 -- first, for its effect
+from valve_sim import early_signals  # noqa: F401 -- first, for its effect
 from valve_sim.nodes.starting import Extra, Program, chosen
 
 opcua_node = Program(
