@@ -15,9 +15,11 @@ Names are loaded when they are first asked for, so that a program that needs one
 
 from __future__ import annotations
 
-import importlib
 import os
-from typing import TYPE_CHECKING, Final
+
+TYPE_CHECKING = False  # of `typing`, which would be loaded before a program handles signals
+if TYPE_CHECKING:
+    from typing import Final
 
 # NumPy reads this where it is loaded. The matrices of a fit are thin: threads of the linear algebra wait for each
 # other, and beside other work a diagnosis has taken 240 CPU seconds for 32. What a user has set stays.
@@ -99,6 +101,8 @@ if not TYPE_CHECKING:  # for type checkers a name that is not listed is none
         """Load the module of a name that is first asked for."""
         if name not in _HOMES:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        import importlib
+
         found = getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)
         globals()[name] = found
         return found

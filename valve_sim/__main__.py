@@ -5,10 +5,8 @@ from __future__ import annotations
 import os
 import signal
 import sys
-from contextlib import suppress
-from typing import Final
 
-STOPPED: Final = 130
+STOPPED = 130
 
 
 def main() -> None:
@@ -36,6 +34,8 @@ def _stop() -> None:
 def _leave() -> None:
     """End at once: a thread of a fit would be waited for, and a second Ctrl-C would interrupt that with a traceback."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    from contextlib import suppress
+
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError, ValueError):
             stream.flush()

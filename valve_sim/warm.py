@@ -7,6 +7,10 @@ model with gas as well, which most never use.
 
 from __future__ import annotations
 
+from valve_sim import early_signals  # noqa: F401 -- first, for its effect
+
+# isort: split
+
 import argparse
 import sys
 from dataclasses import replace

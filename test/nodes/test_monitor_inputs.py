@@ -125,7 +125,7 @@ def test_beside_a_real_valve_its_sensors_count_and_no_simulation() -> None:
     assert set(heard.taken[:-1]) == {
         ("end_pressure", "inlet_pressure", 1, 26e6),
         ("end_pressure", "inlet_pressure", 2, 25e6),
-        ("outlet_pressure", "outlet_pressure", 3, 3e6),
+        ("outlet_pressure", 3, 3e6),
     }
     assert "/valve/inlet_pressure" not in heard.node.queues
 
@@ -145,7 +145,7 @@ def test_without_an_executor_all_samples_are_taken_after_what_was_heard_before_t
     assert heard.inputs.inbox.deliver()
     unstamped = ("coil", "/valve/coil", 77, 0.25)
     assert [taken[:4] for taken in heard.taken if taken[:4] != unstamped] == [
-        ("outlet_pressure", "outlet_pressure", 1, 2e6),
+        ("outlet_pressure", 1, 2e6),
         ("command", "/valve/coil_voltage", 77, 9.0),
         *(("position", "/valve/joint_states", stamp, 0.0) for stamp in (5, 6, 7)),
         *(("coil", "/valve/coil", stamp, 0.5) for stamp in (8, 9)),

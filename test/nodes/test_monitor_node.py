@@ -17,7 +17,7 @@ from identification.live_strokes import LiveValve
 from nodes.ros import DiagnosticArray, Float64, JointState, Trigger
 
 from .plant_on_topics import PlantOnTopics
-from .ros_process import PATIENCE, Diagnostics, Probe, ended, piped, report_of, running
+from .ros_process import ENDS_WITHIN, PATIENCE, Diagnostics, Probe, ended, piped, report_of, running
 
 pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("ros")]
 
@@ -122,7 +122,7 @@ def test_friction_that_appears_in_a_real_valve_is_warned_of_and_named(probe: Pro
 
 
 @pytest.mark.any_distribution
-def test_what_commissioning_found_survives_a_restart_until_it_is_asked_for_anew(probe: Probe, tmp_path: Path) -> None:
+def test_what_commissioning_found_survives_a_kill_until_it_is_asked_for_anew(probe: Probe, tmp_path: Path) -> None:
     state = tmp_path / "kept" / "tank.json"
     plant = PlantOnTopics(probe, LiveValve(seed=5, rate=500.0, jitter=0.0))
     given = {"measured": "measured/joint_states", "use_sim_time": True, "max_rate": 1e5, "state": state, **EXACT}
@@ -130,9 +130,10 @@ def test_what_commissioning_found_survives_a_restart_until_it_is_asked_for_anew(
         plant.wait_for_monitor()
         plant.strokes(FEW + 3)
         assert probe.until(state.exists)
-        ended(process, signal.SIGTERM)
+        process.kill()
+        assert process.wait(ENDS_WITHIN) == -signal.SIGKILL
     plant.predicted.clear()
-    with monitoring(tmp_path, **given):
+    with monitoring(tmp_path, **given) as process:
         plant.wait_for_monitor()
         reports = plant.strokes(3)
         assert {report["state"] for report in reports} == {"watching"}, reports
@@ -141,6 +142,7 @@ def test_what_commissioning_found_survives_a_restart_until_it_is_asked_for_anew(
         assert probe.answers([client], Trigger.Request())[0].success
         assert probe.until(lambda: not state.exists())
         assert plant.strokes(3)[-1]["state"] == "commissioning"
+        ended(process, signal.SIGTERM)
 
 
 @pytest.fixture(scope="module")

@@ -8,14 +8,13 @@ import threading
 
 import pytest
 
-from valve_sim.nodes.ending import StopRequest
-from valve_sim.nodes.threads import StoppableThread
+from valve_sim.nodes.threads import StoppableThread, StopRequest
 
 from .ros_process import ENDS_WITHIN
 
 INTERRUPTED = """
 import signal
-from valve_sim.nodes.ending import StopRequest
+from valve_sim.nodes.threads import StopRequest
 
 came = 0
 stop = StopRequest()

@@ -9,9 +9,11 @@ from pathlib import Path
 
 import pytest
 from nodes.ros import LATCHED, DiagnosticArray, DiagnosticStatus, KeyValue, Trigger
-from nodes.ros_process import Probe, ended, own_lines, piped
+from nodes.ros_process import ENDS_WITHIN, Probe, ended, own_lines, piped
 
 from valve_sim.model import ValveError
+from valve_sim.nodes.topics import LAST_STROKES
+from valve_sim.nodes.wiring import profile
 from valve_sim.records.archive import Archive
 from valve_sim.station.archive_node import Keeper
 from valve_sim.station.figures import Report, finding_report, stroke_report
@@ -114,6 +116,34 @@ def message_of(values: dict[str, str], words: str = "") -> DiagnosticArray:
     """A message of a monitor."""
     entries = [KeyValue(key=key, value=value) for key, value in values.items()]
     return DiagnosticArray(status=[DiagnosticStatus(message=words, values=entries)])
+
+
+@pytest.mark.ros
+def test_an_archive_that_is_killed_loses_nothing_that_the_monitor_still_says(probe: Probe, tmp_path: Path) -> None:
+    strokes, folder = (
+        probe.talker("/monitor/stroke_report", DiagnosticArray, profile(LAST_STROKES)),
+        tmp_path / "archive",
+    )
+    program = ("-m", "valve_sim.station", "archive_node", "--ros-args", "-p", f"folder:={folder}")
+
+    def kept() -> list[int]:
+        return [row["number"] for row in Archive(folder).read("strokes", "/valve")] if folder.exists() else []
+
+    def say(numbers: range) -> None:
+        for number in numbers:
+            strokes.publish(message_of({**STROKE, "stroke": str(number)}))
+
+    with piped(tmp_path, program) as process:
+        assert probe.until(strokes.get_subscription_count)
+        say(range(3))
+        assert probe.until(lambda: kept() == [0, 1, 2])
+        say(range(3, 6))
+        process.kill()
+        assert process.wait(ENDS_WITHIN) == -signal.SIGKILL
+    say(range(6, 9))
+    with piped(tmp_path, program):
+        assert probe.until(lambda: kept() == list(range(9)))
+    assert not Archive(folder).read("alarms", "/valve"), "nothing is missing"
 
 
 @pytest.mark.ros

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from valve_sim import early_signals  # noqa: F401 -- first, for its effect
+
+# isort: split
+
 import contextlib
 import importlib
 import os

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Final
-
-from valve_sim.nodes import ending  # noqa: F401 -- first, for its effect
+from valve_sim import early_signals  # noqa: F401 -- first, for its effect
 from valve_sim.nodes.starting import Program, chosen
 
-valve_node: Final = Program(
+valve_node = Program(
     "valve_node",
     "valve_sim.nodes.valve:valve_node",
     """
@@ -30,7 +28,7 @@ valve_node: Final = Program(
 """,
     "docs/tutorials/first_correction.md, docs/how_to/your_own_machine.md, docs/reference/topics.md",
 )
-identification_node: Final = Program(
+identification_node = Program(
     "identification_node",
     "valve_sim.nodes.identification:IdentificationNode",
     """
@@ -45,7 +43,7 @@ identification_node: Final = Program(
     "docs/how_to/diagnosis.md, docs/reference/topics.md",
     codes="0 after the result, Ctrl-C or SIGTERM, 1 after a failure, 2 for unusable input",
 )
-monitor_node: Final = Program(
+monitor_node = Program(
     "monitor_node",
     "valve_sim.nodes.monitor:MonitorNode",
     """
@@ -64,7 +62,7 @@ monitor_node: Final = Program(
 """,
     "docs/how_to/monitor.md, docs/theory/monitoring.md",
 )
-command_profile: Final = Program(
+command_profile = Program(
     "command_profile",
     "valve_sim.nodes.profile:ProfileNode",
     """
@@ -78,7 +76,6 @@ command_profile: Final = Program(
 """,
     "docs/how_to/record_next.md",
     codes="0 when all was sent, 1 otherwise, 2 for unusable input",
-    unstarted=1,
 )
 
 if __name__ == "__main__":

@@ -49,7 +49,7 @@ class LiveMonitor:
         self._last_stamp: int | None = None
         self._baseline: Baseline | None = None
 
-    def outlet_pressure(self, topic: str, stamp: int, pressure: float) -> None:
+    def outlet_pressure(self, stamp: int, pressure: float) -> None:
         """A pressure behind the valve, Pa."""
         self.segmenter.line.hear(self._seconds(stamp), pressure)
 

@@ -47,7 +47,8 @@ class ReadingMessages:
     """
 
     def __init__(self, frame_id: str, joints: Sequence[str] = JOINT_NAMES) -> None:
-        self._header = Header(frame_id=frame_id)
+        self._stamp = Time()
+        self._header = Header(stamp=self._stamp, frame_id=frame_id)
         self._number = Float64()
         zeros, self._read = (0.0,) * len(joints), [_JOINTS[name] for name in joints]
         self._joints = message = JointState(header=self._header, name=list(joints))
@@ -87,7 +88,7 @@ class ReadingMessages:
         return self._pressure
 
     def _date(self, stamp: int) -> None:
-        self._header.stamp.sec, self._header.stamp.nanosec = divmod(min(stamp, LAST_STAMP), NANOSECONDS)
+        self._stamp.sec, self._stamp.nanosec = divmod(min(stamp, LAST_STAMP), NANOSECONDS)
 
 
 def blank_battery() -> BatteryState:

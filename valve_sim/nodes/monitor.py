@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
+from rclpy.publisher import Publisher
 from std_msgs.msg import Float64
 
 from valve_sim.files.parameter_sections import Section
@@ -81,7 +82,8 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
         self._isolation = FaultIsolation(self._tell)
         self._state_told = ""
         self._last_report: StrokeReport | None = None
-        self._is_heard = False
+        self._heard: list[Publisher] = []
+        """Those of the topics of each sample that have subscribers, as of the last delivery."""
         self._monitor_thread = MonitorThread(
             self._strokes, prepare=self._prepare, report=self._report, isolate=self._isolate, forget=self._forget,
             fail=self._fail,
@@ -94,7 +96,7 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
         self._inputs.hear(self._live, has_gas=valve.gas is not None)
         self._next_message = 0
         self._delivery = Repeating(
-            "delivery", self._deliver, lambda: _PAUSE_IF_HEARD if self._is_heard else _PAUSE, self._fail
+            "delivery", self._deliver, lambda: _PAUSE_IF_HEARD if self._heard else _PAUSE, self._fail
         )
         # Neither the comparison of a stroke nor a search for a fault can end at once.
         self._threads += (self._delivery, self._monitor_thread, self._isolation)
@@ -122,6 +124,7 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
     def _deliver(self) -> None:
         inbox = self._inputs.inbox
         if self._is_ready:
+            self._heard = [topic for topic in (self._predicted, self._residual) if topic.get_subscription_count()]
             inbox.deliver()
         else:
             inbox.store_waiting()
@@ -135,16 +138,12 @@ class MonitorNode(RosNode[MonitorNodeSettings]):
     def _publish(self, stamp: int, prediction: Prediction) -> None:
         """Publish prediction and residual, at most at max_rate and only if there are subscribers."""
         pause = round(0.9 * NANOSECONDS / self._settings.max_rate)
-        if self._next_message - pause <= stamp < self._next_message:
+        if not self._heard or self._next_message - pause <= stamp < self._next_message:
             return
         self._next_message = stamp + pause
-        hears_predicted, hears_residual = (
-            bool(topic.get_subscription_count()) for topic in (self._predicted, self._residual)
-        )
-        self._is_heard = hears_predicted or hears_residual
-        if hears_predicted:
+        if self._predicted in self._heard:
             self._predicted.publish(self._messages.joint_states(stamp, prediction.reading))
-        if hears_residual:
+        if self._residual in self._heard:
             self._residual.publish(Float64(data=prediction.residual))
 
     def _recommission(self) -> tuple[bool, str]:

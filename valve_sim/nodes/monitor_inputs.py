@@ -72,8 +72,7 @@ class MonitorInputs:
         A simulated valve says which pressures it obeys, and from when on; a sensor's stamps are those of its samples.
         What the valve is told counts, from its own stamp on, until one of them is heard.
         """
-        outlet = partial(self._live.outlet_pressure, "outlet_pressure")
-        self._receive("{sensors}/outlet_pressure", partial(self._on_pressure, outlet))
+        self._receive("{sensors}/outlet_pressure", partial(self._on_pressure, self._live.outlet_pressure))
         for end in topics.ENDS:
             take = partial(self._on_pressure, partial(self._live.end_pressure, end))
             told = self._receive("{valve}/{end}", take, end=end)

@@ -12,6 +12,7 @@ import traceback
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, NoReturn
 
+from valve_sim.early_signals import NODES
 from valve_sim.files.parameter_files import valve_from_flat
 from valve_sim.files.parameter_sections import Section, read_sections
 from valve_sim.model.errors import ParameterError, ValveError
@@ -60,7 +61,7 @@ class Program(NamedTuple):
         name: of the program.
         place: "module:Class" of its node, which is imported only after ROS was found; without it one line is printed.
         about: what it does, with a command that works as printed.
-        pages: where to read on. codes: its exit codes. unstarted: the one where a signal comes while it starts.
+        pages: where to read on. codes: its exit codes.
         needs: a library that not everyone has; None where ROS is enough.
     """
 
@@ -69,7 +70,6 @@ class Program(NamedTuple):
     about: str
     pages: str
     codes: str = "0 after Ctrl-C or SIGTERM, 1 after a failure, 2 for unusable input"
-    unstarted: int = 0
     needs: Extra | None = None
 
     def __call__(self, args: Sequence[str] | None = None) -> int:
@@ -78,7 +78,7 @@ class Program(NamedTuple):
         if _asks_for_help(arguments):
             print(inspect.cleandoc(self.usage))
             return 0
-        signals, node = Signals(self.unstarted), None
+        signals, node = Signals(NODES[self.name]), None
         try:
             given = read_files(arguments)
             rclpy_init(arguments)

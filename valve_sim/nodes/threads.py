@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 from collections.abc import Callable
 
@@ -11,6 +12,34 @@ Fail = Callable[[Exception], None]
 
 class Cancelled(Exception):  # noqa: N818 -- not an error: the node ends
     """What is being calculated is no longer wanted; raised in a report of its progress."""
+
+
+class StopRequest:
+    """Whether the main thread shall end its work, and why.
+
+    A signal handler may ask for it. Of `threading.Event` the thread that it interrupts may just hold the inner lock,
+    and the handler would wait for that forever.
+
+    Attributes:
+        why: the first reason given; empty while there is none.
+    """
+
+    def __init__(self) -> None:
+        self.why = ""
+        self._unasked = threading.Lock()
+        self._unasked.acquire()
+
+    def ask(self, why: str) -> None:
+        """Ask the main thread to end its work; from any thread, and from a signal handler."""
+        self.why = self.why or why
+        with contextlib.suppress(RuntimeError):  # of a lock that is free: it was asked for before
+            self._unasked.release()
+
+    def wait(self, seconds: float | None = None) -> bool:
+        """Return when it is asked for, or after so many seconds; whether it is."""
+        if not self.why:
+            self._unasked.acquire(timeout=-1.0 if seconds is None else seconds)
+        return bool(self.why)
 
 
 class StoppableThread(threading.Thread):

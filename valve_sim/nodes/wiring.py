@@ -22,7 +22,6 @@ from std_srvs.srv import Trigger
 from valve_sim.files.parameter_sections import Section
 from valve_sim.model import ParameterError
 from valve_sim.nodes.diagnostics import Status
-from valve_sim.nodes.ending import StopRequest
 from valve_sim.nodes.messages import diagnostic_array
 from valve_sim.nodes.node_clock import NodeClock
 from valve_sim.nodes.parameters import (
@@ -37,7 +36,7 @@ from valve_sim.nodes.parameters import (
 )
 from valve_sim.nodes.receiving import Inbox, Source, Take
 from valve_sim.nodes.spinning import every, guarded, spin
-from valve_sim.nodes.threads import Fail, StoppableThread
+from valve_sim.nodes.threads import Fail, StoppableThread, StopRequest
 from valve_sim.nodes.topics import Qos, Topic
 
 

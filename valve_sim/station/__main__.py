@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Final
-
-from valve_sim.nodes import ending  # noqa: F401 -- first, for its effect
+from valve_sim import early_signals  # noqa: F401 -- first, for its effect
 from valve_sim.nodes.starting import Extra, Program, chosen
 
-opcua_node: Final = Program(
+opcua_node = Program(
     "opcua_node",
     "valve_sim.station.opcua_node:OpcUaNode",
     """
@@ -22,7 +20,7 @@ opcua_node: Final = Program(
     "docs/how_to/opcua.md",
     needs=Extra("asyncua", "opcua", "the OPC UA server"),
 )
-plc_node: Final = Program(
+plc_node = Program(
     "plc_node",
     "valve_sim.station.plc_node:PlcNode",
     """
@@ -36,7 +34,7 @@ plc_node: Final = Program(
 """,
     "docs/how_to/plc.md",
 )
-archive_node: Final = Program(
+archive_node = Program(
     "archive_node",
     "valve_sim.station.archive_node:ArchiveNode",
     """
