@@ -195,10 +195,10 @@ class OwnPlant(RecordedPlant[OwnModel]):
             edges = [edge._replace(time=edge.time + of_inputs[edge.columns[0]]) for edge in edges]
             inputs = with_edges(delayed(run.inputs, of_inputs), edges, later)
             samples, rows_of = late(run, delays)
-            moves = np.zeros((len(inputs.times), len(acting)))
+            moves = np.zeros((len(inputs.times), 1 + len(of_inputs), len(acting)))
             for edge, by in zip(edges, later, strict=True):
                 row = int(np.searchsorted(inputs.times, edge.time + by, side="right")) - 1
-                moves[row] = [directions[k].slopes.get(edge.name, 0.0) for k in acting]
+                moves[row, 0] = [directions[k].slopes.get(edge.name, 0.0) for k in acting]
             try:
                 shown, changes, *_ = machine.run(
                     numbers,

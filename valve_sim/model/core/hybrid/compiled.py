@@ -43,7 +43,7 @@ class Changes:
 
     Args:
         rows: (k, 1 + 2 inputs) s, and from then on a value and a slope of each input; the first is of the start.
-        moves: (k, directions) derivatives of the times; None: they are known.
+        moves: (k, 1 + inputs, directions) derivatives of the times, and of the values; None: they are known.
     """
 
     def __init__(self, rows: Array, moves: Array | None = None) -> None:

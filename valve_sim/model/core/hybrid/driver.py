@@ -414,7 +414,10 @@ def log_event(b: Block, transition: int, events: Block, room: int) -> None:
 
 
 def take_inputs(b: Block, t: Block, change: Block, moves: Block, has_moves: int) -> None:
-    """Inputs change now: a value and a slope each; moves: (width,) derivatives of when, if there are any."""
+    """Inputs change now: a value and a slope each.
+
+    moves: (1 + inputs, width) derivatives of when, and of the values, if there are any.
+    """
     width = int(b[at.WIDTH])
     moved = 0
     for k in range(width):
@@ -429,6 +432,8 @@ def take_inputs(b: Block, t: Block, change: Block, moves: Block, has_moves: int)
     for i in range(inputs):
         b[at.INPUT + i] = change[2 * i]
         b[at.SLOPE + i] = change[2 * i + 1]
+        for k in range(width if has_moves > 0 else 0):
+            t[(at.INPUT + i) * width + k] = moves[(1 + i) * width + k]
     b[at.HAS_CHANGED] = 1.0
     b[at.IS_PENDING] = 0.0
     decide(b, t, -1)
@@ -512,11 +517,11 @@ def drive(
     """Step a machine through changes of its inputs to a time, s; arguments and outcome: see `run`.
 
     changes: (change_count, 1 + 2 inputs) s, and a value and a slope of each input; the first is that of the start.
-    moves: (change_count, width) derivatives of the times of the changes, if there are any.
+    moves: (change_count, 1 + inputs, width) derivatives of the times of the changes, and of the values, if any.
     """
     invoke(b[at.ENTER], b, t)
     size = 1 + 2 * int(b[at.INPUTS])
-    width = int(b[at.WIDTH])
+    moved = (1 + int(b[at.INPUTS])) * int(b[at.WIDTH])
     for number in range(change_count):
         change = changes[size * number :]
         if change[0] > end:
@@ -525,7 +530,7 @@ def drive(
             outcome = run(b, t, change[0], True, most, times, count, rows, slopes, events, room)
             if outcome != FINISHED:
                 return outcome
-        take_inputs(b, t, change[1:], moves[number * width :], has_moves)
+        take_inputs(b, t, change[1:], moves[number * moved :], has_moves)
     return run(b, t, end, False, most, times, count, rows, slopes, events, room)
 
 

@@ -78,7 +78,8 @@ class Kernels:
         self._seeds: dict[Node, Node] = {}
         if width:
             self._seeds = {trace.state(name): trace.state(f"d {name}") for name in description.states}
-            self._seeds |= {trace.number(name): trace.number(f"d {name}") for name in (*free, *description.held)}
+            numbers = (*free, *description.held, *description.inputs)
+            self._seeds |= {trace.number(name): trace.number(f"d {name}") for name in numbers}
 
     def text(self) -> str:
         """All kernels, as text of LLVM."""

@@ -103,7 +103,8 @@ class Machine:
             start_time: s; default the first sample or the first time of the inputs, whichever is earlier.
             most: steps that it may take; default so many that hardly any equations need more.
             tolerance: relative error of a step, of the largest size that a state has had so far.
-            moves: (k, directions) derivatives of the times of inputs that hold; None: none changes.
+            moves: (k, 1 + i, directions) derivatives of the times of the inputs, where they step, and of their levels;
+                None: they are known.
 
         Raises:
             SimulationError: a number is not finite, or the run takes too many steps.
@@ -123,9 +124,9 @@ class Machine:
             compiled = self._with_width(next(own for own in WIDTHS if own >= len(part)))
             driven = changes
             if moves is not None:
-                of_changes = np.zeros((changes.count, compiled.width))
+                of_changes = np.zeros((changes.count, moves.shape[1], compiled.width))
                 kept = min(changes.count, len(moves))
-                of_changes[-kept:, : len(part)] = moves[-kept:, first : first + len(part)]
+                of_changes[-kept:, :, : len(part)] = moves[-kept:, :, first : first + len(part)]
                 driven = Changes(changes.rows, of_changes)
             runs.append(compiled.run(states, values, part, driven, samples, most, tolerance))
             self.check(runs[-1])
