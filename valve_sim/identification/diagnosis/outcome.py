@@ -171,6 +171,7 @@ class Diagnosis:
         grounds: the table of evidence from which verdict and probabilities follow.
         correction: what predicts unseen strokes best, applied or not.
         grades: of each of its names, how far to trust it.
+        impossible: of what was left untried because it cannot be simulated, why.
     """
 
     plant: Plant
@@ -193,6 +194,7 @@ class Diagnosis:
     grounds: Grounds | None = None
     correction: Correction | None = None
     grades: tuple[Grade, ...] = ()
+    impossible: Mapping[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         """Diagnosis(effects: coulomb_friction, probability 0.99)."""

@@ -255,6 +255,7 @@ class DiagnosisSession:
             self._held_out_gain(base, result), (*map(words, untried), *correction.cut_short),
             budget.spent, budget.strokes, limits, self._rivals(posterior, decision, result), grounds=grounds,
             correction=correction, grades=graded,
+            impossible={words(names): why for names, why in self._search.impossible.items()},
         )  # fmt: skip
 
     def _run(self, *, is_full: bool) -> None:

@@ -31,11 +31,13 @@ from valve_sim.identification.fit import forces
 from valve_sim.identification.fit.budget import OutOfWorkError
 from valve_sim.identification.fit.descent import Descended
 from valve_sim.identification.fit.fitter import Fitter, Tried
+from valve_sim.identification.fit.model import Model
 from valve_sim.identification.fit.posterior import EVEN, Evidence, Posterior, Set, posterior_of, rivals_of
 from valve_sim.identification.fit.problem import Problem
 from valve_sim.identification.fit.score_test import log_gains
 from valve_sim.identification.fit.starts import Start, polished, robust_cost, starts_of
 from valve_sim.identification.plants.effect_titles import titles_of
+from valve_sim.model import SimulationError
 
 LARGEST_SET: Final = 4
 """Names in a set: larger ones decided nothing in 153 recordings."""
@@ -83,7 +85,7 @@ class Search:
 
     Attributes:
         tried: by set. begun: sets that were given up. untried: sets that were due when the work was used up.
-        impossible: sets that cannot be simulated. forced: ln p of sets with a force that has no name.
+        impossible: why sets cannot be simulated. forced: ln p of sets with a force that has no name.
     """
 
     def __init__(
@@ -97,7 +99,7 @@ class Search:
         self.begun: dict[Set, Tried] = {}
         self.screened: dict[Set, Evidence] = {}
         self.untried: list[Set] = []
-        self.impossible: list[Set] = []
+        self.impossible: dict[Set, str] = {}
         self.forced: dict[Set, float] = {}
         self._started: dict[Set, list[Start]] = {}
 
@@ -355,7 +357,7 @@ class Search:
         fits = [self.fitter.descended(model, start.values, most=TRIAL, goal=goal) for start in starts]
         fit = min((one for one in fits if one is not None), key=lambda one: one.cost, default=None)
         if fit is None:
-            self.impossible.append(names)
+            self.impossible[names] = _why_not(model, starts[0].values)
             return
         if not fit.converged and fit.least < goal:
             fit = self.fitter.descended(model, _values(fit), goal=goal, damping=fit.damping) or fit
@@ -475,6 +477,15 @@ class Search:
 
 def _values(fit: Descended) -> dict[str, float]:
     return fit.gaussian.model.named(fit.gaussian.z)
+
+
+def _why_not(model: Model, values: Mapping[str, float]) -> str:
+    """Why a set cannot be simulated from a start."""
+    try:
+        model.linearise(model.at(values))
+    except (SimulationError, np.linalg.LinAlgError) as error:
+        return str(error)
+    return ""
 
 
 def words(names: Set) -> str:

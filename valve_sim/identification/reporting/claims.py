@@ -119,16 +119,27 @@ def summarise(diagnosis: Diagnosis) -> str:
     return " ".join([headline(diagnosis), *grounds(diagnosis)])
 
 
+def _sets(untried: Sequence[str]) -> str:
+    return "1 set was" if len(untried) == 1 else f"{len(untried)} sets were"
+
+
+def _few(untried: Sequence[str]) -> str:
+    return ", ".join(untried[:SHOWN_UNTRIED]) + (", ..." if len(untried) > SHOWN_UNTRIED else "")
+
+
 def grounds(diagnosis: Diagnosis) -> Iterator[str]:
-    """Sentences beside the headline: what was left untried, and a larger budget."""
-    verdict, untried = diagnosis.verdict, diagnosis.untried
+    """Sentences beside the headline: what was left untried, why, and a larger budget."""
+    verdict, why = diagnosis.verdict, diagnosis.impossible
+    untried = [one for one in diagnosis.untried if one not in why]
     if verdict.kind == "insufficient" and not verdict.is_cut_short:
         yield recording_advice(diagnosis)
     if untried:
-        few = ", ".join(untried[:SHOWN_UNTRIED]) + (", ..." if len(untried) > SHOWN_UNTRIED else "")
-        sets, they = ("set was", "it") if len(untried) == 1 else ("sets were", "they")
-        budget = "the budget ended or " if verdict.is_cut_short else ""
-        yield f"{len(untried)} {sets} not tried, because {budget}{they} cannot be simulated: {few}."
+        yield f"{_sets(untried)} not tried, because the budget ended: {_few(untried)}."
+    if why:
+        reason = next(iter(why.values()))
+        yield f"{_sets(tuple(why))} not tried: {_few(tuple(why))}. The simulation fails" + (
+            f": {reason}." if reason else "."
+        )
     if verdict.is_cut_short:
         yield (
             f"The budget of {diagnosis.allowed:,.0f} simulated strokes ended before the search did: repeat with a "
