@@ -6,8 +6,9 @@ import json
 import re
 import shutil
 import sqlite3
-from collections.abc import Callable
-from contextlib import closing
+import struct
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,9 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from valve_sim.files.recording_map import map_from
+from valve_sim.model import ValveParameters
 from valve_sim.recordings import TraceError, list_valves, read_trace
+from valve_sim.recordings.map_draft import draft_map
 from valve_sim.recordings.mcap_files import unpack_zstd
 
 from .bag_makers import (
@@ -493,6 +496,63 @@ def test_a_type_of_the_lab_is_read_by_its_definition_in_idl(tmp_path: Path) -> N
     entries = {"command": "/volts", "position": {"topic": "/lift", "unit": "mm"}}
     found = read_trace(tmp_path / "a.mcap", None, map_from(entries, "map.yaml"))
     np.testing.assert_allclose(found.pilot_position, truth.pilot_position, atol=1e-15)
+
+
+def as_second_version(message: Message, order: str, *, delimited: bool) -> Message:
+    """A Float64, or a JointState of good messages, as XCDR2 writes it: numbers lie at multiples of 4 at most."""
+    body = bytearray()
+
+    def put(form: str, *values: Any) -> None:
+        body.extend(b"\0" * (-len(body) % 4) + struct.pack(order + form, *values))
+
+    def put_text(text: str) -> None:
+        put(f"I{len(text) + 1}s", len(text) + 1, text.encode())
+
+    @contextmanager
+    def sized(*, wanted: bool = True) -> Iterator[None]:
+        if wanted:
+            put("I", 0)
+        begin = len(body)
+        yield
+        if wanted:
+            struct.pack_into(order + "I", body, begin - 4, len(body) - begin)
+
+    store = get_typestore(Stores.ROS2_JAZZY)
+    plain: Any = store.deserialize_cdr(message.data, message.type)
+    with sized(wanted=delimited):
+        if message.type == FLOAT:
+            put("d", plain.data)
+        else:
+            with sized(wanted=delimited):
+                with sized(wanted=delimited):
+                    put("iI", plain.header.stamp.sec, plain.header.stamp.nanosec)
+                put_text(plain.header.frame_id)
+            with sized():
+                put("I", len(plain.name))
+                for name in plain.name:
+                    put_text(name)
+            for numbers in (plain.position, plain.velocity, plain.effort):
+                put(f"I{len(numbers)}d", len(numbers), *numbers)
+    head = bytes([0, (8 if delimited else 6) + (order == "<"), 0, 0])
+    return message._replace(data=head + bytes(body))
+
+
+@pytest.mark.parametrize("delimited", [False, True])
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_messages_of_the_second_version_of_cdr_are_read(order: str, delimited: bool, tmp_path: Path) -> None:
+    messages = [as_second_version(message, order, delimited=delimited) for message in good_messages()]
+    path = make_mcap(tmp_path / "a.mcap", messages)
+    check(path, "", 1000)
+    assert read_trace(path).findings == ()
+
+
+def test_a_way_to_write_messages_that_is_not_read_is_named(tmp_path: Path) -> None:
+    messages = [message._replace(data=b"\0\x0b" + message.data[2:]) for message in good_messages()]
+    path = make_mcap(tmp_path / "a.mcap", messages)
+    with pytest.raises(TraceError, match="JointState, they are written as PL_CDR2; set the middleware to write CDR"):
+        read_trace(path)
+    with pytest.raises(TraceError, match="coil_voltage none of 2 messages .* PL_CDR2.*; record while"):
+        draft_map(path, ValveParameters(), "valve-sim map")
 
 
 def test_bytes_after_a_joint_state_are_trimmed(tmp_path: Path) -> None:

@@ -91,10 +91,11 @@ def draft_map(path: Path, parameters: ValveParameters, command: str) -> str:
         time, series, troubles = _time_line(table)
         lines += time
     else:
-        series, troubles = bag_series(path), {}
+        series, troubles = bag_series(path)
     moving = [entry for entry in series if entry.span > 0.0 or _is_one_command(entry)]
     if not moving:
-        names = ", ".join(entry.name for entry in series[:12]) or "no number at all"
+        unread = [f"{name} {words}" for name, words in troubles.items()]
+        names = ", ".join([*(entry.name for entry in series), *unread][:12]) or "no number at all"
         raise TraceError(f"{path}: nothing in it moves ({names}); record while the valve works")
     moving = [entry for entry in moving if not _counts(entry) or re.search(HINTS["position"], entry.words)] or moving
     used: set[str] = set()

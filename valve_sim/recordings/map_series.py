@@ -117,8 +117,8 @@ def table_series(table: DataTable, columns: Mapping[str, Array], clocks: Mapping
     ]
 
 
-def bag_series(path: Path) -> list[Series]:
-    """Every number that the messages of a bag hold, messages of other things left out.
+def bag_series(path: Path) -> tuple[list[Series], dict[str, str]]:
+    """Every number that the messages of a bag hold, messages of other things left out; and why others cannot be read.
 
     Raises:
         TraceError: Nothing can be read from it.
@@ -128,11 +128,13 @@ def bag_series(path: Path) -> list[Series]:
         return {topic: None for topic, message_type in types.items() if not OTHER_TYPES.fullmatch(message_type)}
 
     recording = read_recording(path, select, most=MOST_MESSAGES)
-    result: list[Series] = []
+    series, troubles = list[Series](), dict[str, str]()
     for name, topic in sorted(recording.topics.items()):
         if topic.batches:
-            result += _fields(name, topic)
-    return result
+            series += _fields(name, topic)
+        else:
+            troubles[name] = recording.trouble(name).strip(" :").partition(";")[0]
+    return series, troubles
 
 
 def _fields(topic: str, messages: Topic) -> list[Series]:

@@ -61,19 +61,26 @@ class Recording(NamedTuple):
         Raises:
             TraceError: None can; one line that names the file `path` and the topic.
         """
-        where, topic = f"{path}: topic {name}", self.topics.get(name)
+        if trouble := self.trouble(name):
+            raise TraceError(f"{path}: topic {name}{trouble}")
+        return self.topics[name]
+
+    def trouble(self, name: str) -> str:
+        """Why no message of a topic can be read, and the mend, to follow its name; empty where one can."""
+        topic = self.topics.get(name)
         if topic is None:
-            raise TraceError(f"{where} holds no message; record it while something moves")
+            return " holds no message; record it while something moves"
         if not topic.is_known:
-            raise TraceError(
-                f"{where} is {self.types[name]}, whose definition the recording does not hold; record it as MCAP, or "
-                "publish a standard type"
+            return (
+                f" is {self.types[name]}, whose definition the recording does not hold; record it as MCAP, or publish "
+                "a standard type"
             )
-        if not topic.batches:
-            raise TraceError(
-                f"{where}: none of {topic.size} messages can be read as {self.types[name]}; record it again"
-            )
-        return topic
+        if topic.batches:
+            return ""
+        none = f": none of {topic.size} messages can be read as {self.types[name]}"
+        if topic.unreadable:
+            return f"{none}, they are written as {', '.join(sorted(topic.unreadable))}; set the middleware to write CDR"
+        return f"{none}; record it again"
 
 
 class _Metadata(NamedTuple):

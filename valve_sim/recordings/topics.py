@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from valve_sim.recordings.cdr import MalformedMessage, find_layout
+from valve_sim.recordings.cdr import UNREADABLE, MalformedMessage, find_layout, representation
 from valve_sim.recordings.clocks import SECOND
 from valve_sim.recordings.mcap_files import LARGEST_CHUNK, ZSTD_MAGIC, TooLargeError, unpack_zstd
 
@@ -162,6 +162,7 @@ class Topic:
         batches: What could be read.
         malformed: How many messages could not be read.
         trimmed: How many had bytes behind their last field.
+        unreadable: Representations of messages that could not be read for these.
     """
 
     def __init__(
@@ -173,6 +174,7 @@ class Topic:
     ) -> None:
         self.batches: tuple[Batch, ...] = ()
         self.malformed = self.trimmed = 0
+        self.unreadable: set[str] = set()
         self.is_known = definitions is not None
         self._type, self._definitions, self._keep, self._most = message_type, definitions, keep, most
         self.size = 0
@@ -253,6 +255,7 @@ class Topic:
             for layout, rows, own in _split_by_layout(matrix, index, self._type, definitions):
                 if layout is None:
                     self.malformed += len(own)
+                    self.unreadable |= {UNREADABLE.get(representation(rows[0].tobytes()), "")} - {""}
                     continue
                 if length - layout.end > LARGEST_PADDING:
                     self.trimmed += len(own)
