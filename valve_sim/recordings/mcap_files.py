@@ -87,16 +87,21 @@ class Contents:
     damaged_chunks: int = 0
     encodings: set[str] = field(default_factory=set)
 
-    def add_channel(self, channel: Channel, schema: Schema | None) -> bool:
-        """Note a channel; whether its messages can be read."""
+    def add_channel(self, channel: Channel, schema: Schema | None) -> str:
+        """Note a channel; its topic if its messages can be read, else empty."""
         if channel.message_encoding != "cdr":
             self.encodings.add(channel.message_encoding)
-            return False
-        if schema is not None:
+        elif schema is not None:
             kind = full_type(schema.name)
-            self.types.setdefault(channel.topic, kind)
             self.definitions.setdefault(kind, (schema.encoding, schema.data.decode("utf-8", "replace")))
-        return schema is not None
+            return self.add_topic(channel.topic, kind)
+        return ""
+
+    def add_topic(self, name: str, kind: str) -> str:
+        """Note a topic and its type; its name as ROS has it, where a recorder wrote that of the middleware."""
+        topic = "/" + name.removeprefix("rt/").lstrip("/")
+        self.types.setdefault(topic, kind)
+        return topic
 
 
 class Sent(NamedTuple):
@@ -130,8 +135,8 @@ class IndexedMcap:
         if any(own.schema_id and own.schema_id not in summary.schemas for own in summary.channels.values()):
             raise NotIndexed
         for number, channel in summary.channels.items():
-            if self.contents.add_channel(channel, summary.schemas.get(channel.schema_id)):
-                self._topics[number] = channel.topic
+            if topic := self.contents.add_channel(channel, summary.schemas.get(channel.schema_id)):
+                self._topics[number] = topic
         if sum(counts.values()) < self.contents.count:
             raise NotIndexed
 
@@ -221,8 +226,8 @@ def read_records(path: Path, topics: Mapping[str, Topic]) -> Contents:
             if isinstance(record, Schema):
                 schemas[record.id] = record
             elif isinstance(record, Channel):
-                if found.add_channel(record, schemas.get(record.schema_id)):
-                    channels[record.id] = record.topic
+                if name := found.add_channel(record, schemas.get(record.schema_id)):
+                    channels[record.id] = name
             elif record.channel in channels:
                 found.count += 1
                 topic = topics.get(channels[record.channel])

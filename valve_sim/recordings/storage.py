@@ -22,7 +22,7 @@ from valve_sim.recordings.topics import Topic
 from valve_sim.recordings.trace import TraceError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 
     from valve_sim.recordings.cdr import Definitions
 
@@ -38,6 +38,8 @@ LARGEST_DEFINITION: Final = 100_000
 """Characters of a message type's definition that are parsed."""
 LATE: Final = 1_000_000
 """ns from publication to the log: some message takes less, or these are of two clocks. A longer way is said."""
+MOST_STANDING: Final = 0.5
+"""A log at whose times most messages share one says when they were written, or nothing."""
 EARLY: Final = 100_000
 """ns by which no message of one clock is logged before it is published."""
 
@@ -115,18 +117,29 @@ def read_recording(path: Path, select: Select, most: int | None = None) -> Recor
             raise TraceError(
                 f"{path}: {error.words or f'no message could be saved ({why}); record it again'}"
             ) from None
-    findings += _damage(path, metadata, contents)
-    ways = [found for topic in topics.values() if (found := topic.ways) is not None]
-    shortest, longest = min((way[0] for way in ways), default=0), max((way[1] for way in ways), default=0)
-    is_one_clock = -EARLY <= shortest <= LATE and longest < SECOND
+    findings += _damage(path, metadata, contents, [file.name for file in files])
+    by_publication, words = _recorded_by(topics.values())
     for topic in topics.values():
-        topic.finish(by_publication=is_one_clock)
-    if is_one_clock and longest > LATE:
-        findings.append(
-            f"{path.name}: messages were logged up to {longest / 1e6:.2f} ms after they were published; those without "
-            "a stamp are timed by their publication"
-        )
+        topic.finish(by_publication=by_publication)
+    findings += [f"{path.name}: {own}" for own in words]
     return Recording(types, {name: topic for name, topic in topics.items() if topic.size}, tuple(findings))
+
+
+def _recorded_by(topics: Iterable[Topic]) -> tuple[bool, list[str]]:
+    """Whether messages count as recorded when they were published, and what is said of it."""
+    ways = [(topic.size, way) for topic in topics if (way := topic.ways) is not None]
+    if not ways:
+        return False, []
+    shortest, longest = min(way.shortest for _, way in ways), max(way.longest for _, way in ways)
+    most = MOST_STANDING * sum(size for size, _ in ways)
+    if sum(way.apart for _, way in ways) > most:
+        return True, ["several messages were logged at one time; those without a stamp are timed by their publication"]
+    if sum(way.standing for _, way in ways) > most:
+        return False, ["most messages were logged at the time of another; those without a stamp are timed as coarsely"]
+    if not (-EARLY <= shortest <= LATE and longest < SECOND):
+        return False, []
+    late = f"messages were logged up to {longest / 1e6:.2f} ms after they were published"
+    return True, [f"{late}; those without a stamp are timed by their publication"] if longest > LATE else []
 
 
 class _NothingError(Exception):
@@ -216,18 +229,20 @@ def _types_from_idl(text: str) -> Definitions:
     return found
 
 
-def _damage(path: Path, metadata: _Metadata, contents: Sequence[Contents]) -> list[str]:
+def _damage(path: Path, metadata: _Metadata, contents: Sequence[Contents], names: Sequence[str]) -> list[str]:
     """What is wrong with the files, and what was kept, in a line; none where nothing is."""
     count, chunks = sum(part.count for part in contents), sum(part.damaged_chunks for part in contents)
-    complete = all(part.complete for part in contents)
+    cut = [(name, part.count) for name, part in zip(names, contents, strict=True) if not part.complete]
     declared = max(metadata.messages, count)
-    if complete and not metadata.trouble and not chunks and declared == count:
+    if not cut and not metadata.trouble and not chunks and declared == count:
         return []
-    why = (
-        metadata.trouble or ("a chunk is" if chunks else "its end is" if not complete else "messages are") + " missing"
-    )
+    lost = "what followed is lost" if cut else "the data reach their end"
+    why = metadata.trouble or ("a chunk is" if chunks else "its end is" if cut else "messages are") + " missing"
+    if cut and len(names) > 1:  # the files after it may be whole
+        lost = "the rest is lost"
+        ends = [f"the end of {name} is missing" if kept else f"nothing of {name} is valid" for name, kept in cut]
+        why = ", ".join(filter(None, (metadata.trouble, *ends)))
     of_all = f" of {declared}" if declared > count else ""
-    lost = "the data reach their end" if complete else "what followed is lost"
     damaged = f", {chunks} damaged {'chunk' if chunks == 1 else 'chunks'}" if chunks else ""
     return [f"{path.name}: damaged or unfinished ({why}); kept {count}{of_all} messages, {lost}{damaged}"]
 
@@ -287,9 +302,12 @@ def _holds_storage(folder: Path) -> bool:
 
 
 def _storage_files(path: Path) -> list[Path]:
-    """Return a folder's storage files in the order they were recorded (bag_2 before bag_10)."""
+    """Return a folder's storage files in the order they were recorded (bag_2 before bag_10), none twice."""
     names = [*STORAGE_SUFFIXES, *(suffix + ".zstd" for suffix in STORAGE_SUFFIXES)]
     files = [file for file in path.iterdir() if file.name.endswith(tuple(names)) and file.is_file()]
+    # Beside what is packed may lie what `ros2 bag play` unpacked of it, or began to.
+    packed = {file.stem for file in files if file.suffix == ".zstd"}
+    files = [file for file in files if file.name not in packed]
     return sorted(
         files, key=lambda file: [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", file.name)]
     )

@@ -108,6 +108,21 @@ class Batch(NamedTuple):
         return f"has no number {source.field}; it has {has}; choose one with field:"
 
 
+class Ways(NamedTuple):
+    """How long the messages of a topic took from publication to the log.
+
+    Attributes:
+        shortest, longest: ns.
+        standing: How many messages were logged at the time of the one before.
+        apart: How many of these were published at another time than the one before.
+    """
+
+    shortest: int
+    longest: int
+    standing: int
+    apart: int
+
+
 class Stamps(NamedTuple):
     """When each of n messages was taken.
 
@@ -262,11 +277,17 @@ class Topic:
                 yield layout, rows, own
 
     @property
-    def ways(self) -> tuple[int, int] | None:
-        """The shortest and the longest time from publication to the log, ns; None where there is no message."""
+    def ways(self) -> Ways | None:
+        """How long messages took to the log, and how long it stood still; None where there is no message."""
         self._take_waiting()
+        if not self._blocks:
+            return None
         ways = [block.times - block.published for block in self._blocks]
-        return (min(int(own.min()) for own in ways), max(int(own.max()) for own in ways)) if ways else None
+        stood = [block.times[1:] == block.times[:-1] for block in self._blocks]
+        sent = [block.published[1:] != block.published[:-1] for block in self._blocks]
+        apart = [a & b for a, b in zip(stood, sent, strict=True)]
+        shortest, longest = min(int(own.min()) for own in ways), max(int(own.max()) for own in ways)
+        return Ways(shortest, longest, sum(map(np.count_nonzero, stood)), sum(map(np.count_nonzero, apart)))
 
     def finish(self, *, by_publication: bool = False) -> None:
         """Put what was taken into the order of time; later messages would be lost.
