@@ -24,6 +24,17 @@ PARQUET_SUFFIXES: Final = (".parquet", ".pq")
 SHEET_SUFFIXES: Final = (".xlsx", ".xlsm")
 TABLE_SUFFIXES: Final = (*TEXT_SUFFIXES, *PARQUET_SUFFIXES, ".mat", *SHEET_SUFFIXES, ".tdms")
 
+OTHER_KINDS: Final = {
+    b"PK\x03\x04": ("an Excel file or a zip archive", "name it .xlsx, or unpack it"),
+    b"\xd0\xcf\x11\xe0": ("an Excel file of before 2007", "save it as .xlsx"),
+    b"\x1f\x8b": ("packed by gzip", "unpack it"),
+    b"\x28\xb5\x2f\xfd": ("packed by zstd", "unpack it"),
+    b"PAR1": ("a Parquet file", "name it .parquet"),
+    b"MATLAB 5": ("a MATLAB file", "name it .mat"),
+    b"TDSm": ("a TDMS file", "name it .tdms"),
+}
+"""How files begin that are no text, what they are, and the mend."""
+
 
 def is_table(path: Path) -> bool:
     """Whether a path is that of a table, by its suffix."""
@@ -41,9 +52,20 @@ def open_table(path: Path) -> DataTable:
     openers |= {".mat": _open_mat, ".tdms": _open_tdms}
     try:
         check_file(path, LARGEST_TEXT, TableError)
+        if suffix not in openers:
+            _refuse_other_kinds(path)
         return openers.get(suffix, TextTable)(path)
     except OSError as error:
         raise TableError(f"{path}: cannot be read ({error.strerror or error}); give a file of a data logger") from error
+
+
+def _refuse_other_kinds(path: Path) -> None:
+    """Refuse what is no text, whatever its suffix says."""
+    with path.open("rb") as stream:
+        head = stream.read(8)
+    for mark, (what, mend) in OTHER_KINDS.items():
+        if head.startswith(mark):
+            raise TableError(f"{path}: is {what}, expected text; {mend}")
 
 
 def read_table(path: Path | str, columns: Mapping[str, Sequence[str]], otherwise: str = "") -> dict[str, Array]:

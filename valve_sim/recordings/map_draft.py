@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import yaml
 
+from valve_sim.files.cells import kind_of
 from valve_sim.files.channels import CHANNELS, SIGNALS, UNITS
 from valve_sim.files.data_tables import is_table, open_table
 from valve_sim.files.entries import Entries
@@ -42,9 +43,13 @@ MOST_LEVELS = 12
 """A voltage rests at so few levels at most."""
 RESTS = 0.6
 """Share of a position's samples that are at either end, or more."""
+UNLIKE = 4.0
+"""A travel of so many strokes, or of so small a part of one, is not of this unit."""
 MOST_LISTED = 40
 WHOLE = re.compile(r"date|datum|day|tag|(.*[^a-z])?(s|sec|secs|seconds)", re.IGNORECASE)
 """Names of a column with days, or whole seconds, whose fractions are in the next one."""
+TICKS, TICKS_NOW = "100ns", (1e17, 7e17)
+"""As Windows counts since 1601, and .NET since year 1; nanoseconds since 1970 are more, and microseconds less."""
 FORMS = tuple(
     f"{day} {clock}"
     for clock in ("%H:%M:%S.%f", "%H:%M:%S:%f", "%H:%M:%S,%f", "%I:%M:%S.%f %p")
@@ -234,7 +239,7 @@ def _names(entry: Series, quantity: str) -> bool:
     """Whether its words say that it is this quantity, or its unit where its words say no other."""
     if re.search(HINTS[quantity], entry.words):
         return True
-    if any(re.search(HINTS[other], entry.words) for other in BESIDE):
+    if any(re.search(HINTS[other], entry.words) for other in (*BESIDE, "position")):
         return False
     return entry.unit in UNITS[CHANNELS[quantity].dimension] and entry.unit not in ("g", "m")
 
@@ -307,6 +312,9 @@ def _position_guess(quantity: str, entry: Series, parameters: ValveParameters) -
             ("m", "mm", "um", "nm"), key=lambda name: abs(np.log(units[name].factor * entry.span / parameters.stroke))
         )
         reasons.append(f"CHECK unit: travels {entry.span:.4g}, the declared stroke is {parameters.stroke:.4g} m")
+        ratio = parameters.stroke / (units[unit].factor * entry.span)
+        if not 1.0 / UNLIKE < ratio < UNLIKE:
+            reasons.append(f"CHECK scale: of a sensor in % or in V? Then scale: {ratio:.4g}")
     settings["unit"] = unit
     sign = -1 if entry.at_rest - entry.low > entry.high - entry.at_rest else 1
     if sign < 0:
@@ -358,9 +366,8 @@ def _time_line(table: DataTable) -> tuple[list[str], list[Series], dict[str, str
         entry, reason = {"rate": float(f"{1.0 / table.interval[0]:.9g}")}, f"CHECK: by {table.interval[1]} in its head"
     if entry is None:
         _refuse_one_value_a_row(table, troubles)
-        coarse = next((name for name in dating if PLAIN.fullmatch(name)), None)
-        why = "no column ascends" if coarse is None else f"column {coarse} repeats: it has too few digits"
-        why = next((f"column {name}: {words}" for name, words in troubles.items() if PLAIN.fullmatch(name)), why)
+        coarse = next((name for name in dating if PLAIN.fullmatch(name)), "")
+        why = f"column {coarse} repeats: it has too few digits" if coarse else _without_times(table, troubles)
         raise TraceError(
             f"{table.path}: {why}, and nothing else says when its rows were taken; write a map by hand with "
             "time: {rate: ...} (rows a second), or export the times"
@@ -390,6 +397,19 @@ def _time_line(table: DataTable) -> tuple[list[str], list[Series], dict[str, str
         f"# CHECK: {name} is another column of times, and is taken for that of the columns after it" for name in clocks
     ]
     return lines, series, {name: words for name, words in troubles.items() if name not in axis.columns}
+
+
+def _without_times(table: DataTable, troubles: Mapping[str, str]) -> str:
+    """Why no column says when the rows were taken: that whose name says that it does, or else the first broken one."""
+    for name in table.names:
+        says_so = PLAIN.fullmatch(name) or any(part.fullmatch(name) for part in PARTS.values())
+        if not says_so and table.units.get(name) not in UNITS["time"]:
+            continue
+        try:
+            table.row_times(TimeAxis((name,)))
+        except TableError as error:
+            return str(error).removeprefix(f"{table.path}: ").partition(";")[0]
+    return next((f"column {name}: {words}" for name, words in troubles.items()), "no column ascends")
 
 
 def _begun(values: Array) -> Array:
@@ -428,7 +448,7 @@ def _refuse_one_value_a_row(table: DataTable, names: Iterable[str]) -> None:
     """Refuse a table in which a column of few words says what each row has a value of, as archives of a PLC do."""
     for name in names:
         words = list(dict.fromkeys(table.texts(name)))
-        if 1 < len(words) <= MOST_LEVELS < table.rows:
+        if 1 < len(words) <= MOST_LEVELS < table.rows and all(kind_of(word) in ("word", "") for word in words):
             raise TraceError(
                 f"{table.path}: each row has the value of one quantity, which column {name} names "
                 f"({', '.join(words[:4])}); export a column for each"
@@ -470,6 +490,7 @@ def _stamp(table: DataTable, name: str, values: Array) -> tuple[dict[str, object
     if unit not in units:
         is_calendar = EXCEL_DAYS[0] < values[0] < EXCEL_DAYS[1] and step < 1e-4
         known = ("d",) if is_calendar else ("s", "ms", "us", "ns", "d")
+        known = (TICKS,) if TICKS_NOW[0] < values[0] < TICKS_NOW[1] else known
         unit = next((own for own in known if 2e-7 < units[own].factor * step < 2e-2), "s")
         reason = "CHECK unit"
     return {"column": name, "unit": unit}, reason
