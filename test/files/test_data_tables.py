@@ -438,6 +438,34 @@ def test_tdms_has_its_times_from_the_waveforms(tmp_path: Path) -> None:
     np.testing.assert_array_equal(table.column("lift"), LIFTS)
 
 
+def test_channels_of_other_rates_have_times_of_their_own(tmp_path: Path) -> None:
+    nptdms = pytest.importorskip("nptdms")
+    with nptdms.TdmsWriter(tmp_path / "a.tdms") as writer:
+        about = {"wf_start_offset": 0.0, "wf_samples": len(TIMES)}
+        lift = nptdms.ChannelObject("lab", "lift", LIFTS, {**about, "wf_increment": 1e-3})
+        coil = nptdms.ChannelObject("lab", "coil", LIFTS[::2], {**about, "wf_increment": 2e-3})
+        writer.write_segment([lift, coil, nptdms.ChannelObject("lab", "note", np.arange(12.0))])
+    table = open_table(tmp_path / "a.tdms")
+    assert table.names == ("note", "time", "lift", "time_2", "coil")
+    np.testing.assert_allclose(table.column("time_2"), [*TIMES[::2], *[math.nan] * 6], atol=1e-12)
+    np.testing.assert_array_equal(table.column("coil"), [*LIFTS[::2], *[math.nan] * 6])
+
+
+def test_cells_of_a_head_that_span_two_lines_name_what_is_below(tmp_path: Path) -> None:
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    for row in (["Run 12"], ["Time", "Coil", None, "Lift"], [None, "U", "I", None], ["s", "V", "A", "mm"]):
+        book.active.append(row)
+    book.active.merge_cells("A2:A3")
+    book.active.merge_cells("B2:C2")
+    for t, x in zip(TIMES.tolist(), LIFTS.tolist(), strict=True):
+        book.active.append([t, 9.0, 0.5, x])
+    book.save(tmp_path / "a.xlsx")
+    table = open_table(tmp_path / "a.xlsx")
+    assert table.names == ("Time", "Coil", "I", "Lift")
+    assert table.units == {"Time": "s", "Coil": "V", "I": "A", "Lift": "mm"}
+
+
 @pytest.mark.parametrize(("suffix", "package"), [("xlsx", "openpyxl"), ("tdms", "nptdms"), ("parquet", "pyarrow")])
 def test_what_a_kind_of_file_needs_is_said(
     suffix: str, package: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -549,6 +549,7 @@ DRAFTED = {
     "a counter that jumps": ("n,t,u,lift", "{n},{t:.6f},{u:.4f},{x:.5f}", "column: t", "lift, unit: mm"),
     "ticks of Windows": ("t,u,lift", "{ticks},{u:.4f},{x:.5f}", "unit: 100ns", "lift, unit: mm"),
     "a laser in volts": ("t,u,laser_V", "{t:.6f},{u:.4f},{x:.5f}", "column: t", "laser_V, unit: mm"),
+    "codes for no reading": ("t,u,lift", "{t:.6f},{u:.4f},{coded:.5f}", "column: t", "lift, unit: mm"),
     "nanometres": ("t,u,lift", "{t:.6f},{u:.4f},{nm:.0f}", "column: t", "lift, unit: nm"),
 }  # fmt: skip
 
@@ -568,6 +569,7 @@ def test_a_first_map_of_a_table_finds_its_time_and_its_position(kind: str, tmp_p
             "ticks": 133538 * 10**12 + round(1e7 * t),
             "n": n + 50 * (n > 99),
         }
+        row |= {"coded": -9999.0 if n % 300 == 299 else 1e3 * x}
         before = u
         lines.append(form.format(**row))
     (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")

@@ -308,7 +308,8 @@ def _named(path: Path, lines: Sequence[str], delimiter: str | None, rows: Rows, 
     numbers = [place for place in range(width) if any(place < len(row) and row[place] for row in data)]
     are_units = [row for row in head if _are_units(row)]
     naming = [row for row in head if row not in are_units and _named_by(row, numbers) >= _NAMED]
-    if not any(all(row[place] for place in numbers if unit[place]) for unit in are_units for row in naming):
+    named = {place for row in naming for place in numbers if row[place]}
+    if not any({place for place in numbers if row[place]} <= named for row in are_units):
         are_units = []  # volt, sec: they are the names
     units = max(are_units, key=lambda row: len(set(row)), default=None)
     above = None if units is None else next(iter(head[head.index(units) + 1 :]), None)
@@ -333,7 +334,13 @@ def _named(path: Path, lines: Sequence[str], delimiter: str | None, rows: Rows, 
             f"{path}: line {start + 1} has {width} whole numbers for {width // 2} names: commas part its cells and "
             "are decimal points, too; export it with semicolons, or with points"
         )
-    names = _unique(chosen[:width])
+    # Cells of a spreadsheet may span two lines of the head.
+    place = head.index(chosen)
+    spanned = [
+        chosen,
+        *(row for row in (*head[max(0, place - 1) : place], *head[place + 1 : place + 2]) if row in naming),
+    ]
+    names = _unique([next(filter(None, cells), "") for cells in zip(*spanned, strict=True)][:width])
     beside = {name: own[1] for name, cell in zip(names, data[0], strict=False) if (own := quantity_in(cell))}
     found = beside if units is None else {name: _bare(cell) for name, cell in zip(names, units, strict=False)}
     for name in names:

@@ -16,7 +16,7 @@ from valve_sim.files.entries import Entries
 from valve_sim.files.recording_map import MapError, TimeAxis, map_from, time_axis
 from valve_sim.files.tables import EXCEL_DAYS, MOST_REPEATED, PARTS, DataTable, TableError
 from valve_sim.model.errors import ValveError
-from valve_sim.recordings.map_series import Series, bag_series, table_series
+from valve_sim.recordings.map_series import MOST_LEVELS, Series, bag_series, table_series
 from valve_sim.recordings.reading import read_trace
 from valve_sim.recordings.trace import TraceError
 from valve_sim.recordings.trouble import MOST_AMPERES
@@ -39,8 +39,6 @@ BESIDE = [key for key in HINTS if key in SIGNALS and key != "voltage"]
 PLAIN = re.compile(r"(?:time|t|zeit|uhrzeit|timestamp|sec|seconds|elapsed).*", re.IGNORECASE)
 FEW_MESSAGES = 0.2
 """A topic with less than this share of the messages of another is a command: sent when it changes."""
-MOST_LEVELS = 12
-"""A voltage rests at so few levels at most."""
 RESTS = 0.6
 """Share of a position's samples that are at either end, or more."""
 UNLIKE = 4.0
