@@ -10,7 +10,7 @@ import os
 from dataclasses import dataclass, field
 from io import BytesIO
 from struct import Struct
-from typing import TYPE_CHECKING, BinaryIO, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple
 from zlib import crc32
 
 import lz4.frame  # type: ignore[import-untyped]
@@ -20,7 +20,6 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.records import Channel, Chunk, ChunkIndex, Schema
-from numpy.lib.stride_tricks import sliding_window_view
 
 from valve_sim.files.bounded import MOST_EXPANDED
 from valve_sim.recordings.cdr import full_type
@@ -191,13 +190,22 @@ def _message_index(stream: BinaryIO, offset: int) -> tuple[Places, Places]:
     return entries[:, 0], entries[:, 1]
 
 
+def cut_out(raw: Bytes, starts: NDArray[np.integer], dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Copy what lies in bytes from each of some places on, shape (n,); all of it must be in them.
+
+    Each is copied whole, which is three times as fast as a window of bytes.
+    """
+    from_each: NDArray[Any] = np.ndarray(len(raw) - dtype.itemsize + 1, dtype, raw, 0, (1,))
+    return np.asarray(from_each[starts])
+
+
 def _payload_bounds(raw: Bytes, places: Places, channel: int) -> tuple[Places, Places, Places]:
     """Return where in a chunk's bytes the payloads of the records at `places` start and stop, and when published."""
     if not len(places):
         return places, places, places
     if not 0 <= places.min() <= places.max() <= len(raw) - MESSAGE.itemsize:
         raise NotIndexed
-    heads = sliding_window_view(raw, MESSAGE.itemsize)[places].view(MESSAGE)[:, 0]
+    heads = cut_out(raw, places, MESSAGE)
     starts, stops = places + MESSAGE.itemsize, places + RECORD_HEAD.size + heads["length"]
     is_message = (heads["opcode"] == Opcode.MESSAGE) & (heads["channel"] == channel)
     if not (is_message & (starts <= stops) & (stops <= len(raw))).all():
