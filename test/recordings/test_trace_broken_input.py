@@ -242,8 +242,9 @@ def check(path: Path, finding: str, least: int, most: int = 1000) -> None:
     np.testing.assert_array_equal(trace.pilot_position, truth.pilot_position[nearest])
 
 
-def mcap_by_another_writer(path: Path, *, beside: bool = False, **options: Any) -> Path:
+def mcap_by_another_writer(path: Path, *, beside: bool = False, of_middleware: bool = False, **options: Any) -> Path:
     """Write the good messages as other recorders do: with checksums, small chunks, or none; others beside them."""
+    name, kind = (r"rt/\1", r"\1::msg::dds_::\2_") if of_middleware else (r"/\1", r"\1/msg/\2")
     with path.open("wb") as stream:
         writer = McapWriter(stream, compression=CompressionType.NONE, **options)
         writer.start("ros2", "test")
@@ -253,8 +254,9 @@ def mcap_by_another_writer(path: Path, *, beside: bool = False, **options: Any) 
             writer.add_message(writer.register_channel(f"/{encoding}", encoding, schema), EPOCH, b"{}", EPOCH)
         for message in good_messages():
             if message.topic not in channels:
-                schema = writer.register_schema(message.type, "ros2msg", b"")
-                channels[message.topic] = writer.register_channel(message.topic, "cdr", schema)
+                schema = writer.register_schema(re.sub(r"(\w+)/msg/(\w+)", kind, message.type), "ros2msg", b"")
+                topic = re.sub("^/(.*)", name, message.topic)
+                channels[message.topic] = writer.register_channel(topic, "cdr", schema)
             writer.add_message(channels[message.topic], message.time, message.data, message.time)
         writer.finish()  # type: ignore[no-untyped-call]
     return path
@@ -435,8 +437,8 @@ READ: dict[str, tuple[Callable[[Path], Path], str, tuple[int, int]]] = {
         "",
         WHOLE,
     ),
-    "names of topics as the middleware has them": (
-        lambda tmp: make_mcap(tmp / "a.mcap", [own._replace(topic=f"rt{own.topic}") for own in good_messages()]),
+    "topics and types as the middleware has them": (
+        lambda tmp: mcap_by_another_writer(tmp / "a.mcap", of_middleware=True),
         "",
         WHOLE,
     ),

@@ -8,6 +8,7 @@ They are written as CDR, of its first or second version (OMG DDS-XTypes 1.3, 7.4
 from __future__ import annotations
 
 import functools
+import re
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -57,7 +58,9 @@ def typestore() -> Typestore:
 
 
 def full_type(message_type: str) -> str:
-    """Return the type with its "msg" part, which some recorders leave out."""
+    """Return the type as ROS has it: some recorders leave "msg" out, others write it as the middleware has it."""
+    if of_middleware := re.fullmatch(r"(\w+)::msg::dds_::(\w+)_", message_type):
+        return f"{of_middleware[1]}/msg/{of_middleware[2]}"
     package, _, name = message_type.rpartition("/")
     return message_type if "/" in package else f"{package}/msg/{name}"
 

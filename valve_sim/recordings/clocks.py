@@ -225,7 +225,7 @@ def clock_offset(delays: Delays, topic: str) -> tuple[int, tuple[str, ...]]:
     if abs(delay) > LONG_DELAY:
         return 0, (
             f"{topic}: bag times are {delay / SECOND:.3f} s from the stamps (median) and were taken as the same clock; "
-            "if the computers' clocks differ, commands and samples do not belong together",
+            "if the computers' clocks differ, commands and samples do not belong together: give clock: bag in a map",
         )
     return 0, ()
 

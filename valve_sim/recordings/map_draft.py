@@ -108,7 +108,10 @@ def draft_map(path: Path, parameters: ValveParameters, command: str) -> str:
             lines += [*(["valves:"] if "valves:" not in lines else []), f"  {valve}:"]
             indent = "    "
         lines += [indent + line for guess in guesses for line in guess.lines]
-        lines += [f"{indent}# CHECK: {words}" for words in _missing(guesses)]
+        found = {guess.quantity for guess in guesses}
+        if "position" not in found:
+            alone = "; without one the current alone is gone by" if "current" in found else ""
+            lines.append(f"{indent}# CHECK: no position found; add position: {{...}}{alone}")
         used |= {guess.series.name for guess in guesses}
     left = {**{entry.name: _range(entry) for entry in series if entry.name not in used}, **troubles}
     lines += [f"# not used: {name}, {words}" for name, words in itertools.islice(left.items(), MOST_LISTED)]
@@ -145,15 +148,6 @@ def _range(entry: Series) -> str:
     if entry.rest_share > RESTS:
         return f"{reads}, rests at either end: a position between stops"
     return f"{reads}, hardly changes: a temperature or a pressure" if entry.span < 0.1 * abs(entry.low) else reads
-
-
-def _missing(guesses: Sequence[Guess]) -> list[str]:
-    found = {guess.quantity for guess in guesses}
-    words = []
-    if "position" not in found:
-        alone = "; without one the current alone is gone by" if "current" in found else ""
-        words.append(f"no position found; add position: {{...}}{alone}")
-    return words if found & {"command", "voltage"} else [*words, "no voltage found; add command: or voltage: {...}"]
 
 
 def _valves(series: Sequence[Series], parameters: ValveParameters) -> dict[str, list[Guess]]:

@@ -211,7 +211,7 @@ def _definitions_of(contents: Sequence[Contents], message_type: str) -> Definiti
         if len(text) > LARGEST_DEFINITION:
             continue
         try:
-            found = _types_from_idl(text) if form == "ros2idl" else get_types_from_msg(text, message_type)
+            found = _types_from_idl(text) if form in ("ros2idl", "omgidl") else get_types_from_msg(text, message_type)
         except Exception:  # of a definition that is none, the library raises what it stumbles over
             continue
         if text and found:
