@@ -387,6 +387,7 @@ READ: dict[str, tuple[Callable[[Path], Path], str, tuple[int, int]]] = {
         (300, 900),
     ),
     "without its last bytes": (lambda tmp: cut(make_mcap(tmp / "a.mcap", good_messages()), 0.9999), "", WHOLE),
+    "a suffix in capitals": (lambda tmp: make_mcap(tmp / "a.mcap", good_messages()).rename(tmp / "A.MCAP"), "", WHOLE),
     "without chunks, cut": (
         lambda tmp: cut(mcap_by_another_writer(tmp / "a.mcap", use_chunking=False), 0.6),
         "what followed is lost",
@@ -509,6 +510,19 @@ def test_messages_are_timed_by_their_publication_where_the_log_stands_still(step
     trace = read_trace(path)
     np.testing.assert_allclose(trace.drive.times, clean_trace().drive.times, atol=1e-8)
     assert "a.mcap: several messages were logged at one time" in trace.findings[0]
+
+
+@pytest.mark.parametrize("ahead", [0, 2_000_000])
+def test_of_samples_that_are_sent_in_bursts_nothing_follows_for_commands(ahead: int, tmp_path: Path) -> None:
+    """The publishers' clock is that of the recorder, or another one; the log is fine."""
+    path = logged_and_published(
+        tmp_path / "a.mcap",
+        lambda own: own.time + 12_345 if own.topic == VOLTAGE else (own.time // 2_300_000 + 1) * 2_300_000,
+        lambda own: own.time + ahead,
+    )
+    trace = read_trace(path)
+    np.testing.assert_allclose(trace.drive.times, clean_trace().drive.times, atol=2e-5)
+    assert not any("at one time" in finding or "coarsely" in finding for finding in trace.findings)
 
 
 def test_a_log_that_stands_still_without_a_publication_is_named(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import re
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -41,6 +42,8 @@ FEW_MESSAGES = 0.2
 """A topic with less than this share of the messages of another is a command: sent when it changes."""
 RESTS = 0.6
 """Share of a position's samples that are at either end, or more."""
+ALIKE = 0.15
+"""What is off by a smaller share of the declared stroke travels as far."""
 UNLIKE = 4.0
 """A travel of so many strokes, or of so small a part of one, is not of this unit."""
 MOST_LISTED = 40
@@ -175,7 +178,7 @@ def _guesses(series: Sequence[Series], parameters: ValveParameters) -> list[Gues
         rest.remove(voltage)
     # A laser's voltage is called one, too.
     others = [entry for entry in rest if not _is_voltage(entry)] or [own for own in rest if own.rest_share > RESTS]
-    position = _best(others, _position_score)
+    position = _best(others, partial(_position_score, stroke=parameters.stroke))
     if position is not None:
         rest.remove(position)
     if voltage is not None:
@@ -245,11 +248,28 @@ def _voltage_score(entry: Series) -> float:
     return 2.0 * named + is_switched + (0.5 * entry.sharpness if is_switched else 0.0) - 2.0 * (other and not named)
 
 
-def _position_score(entry: Series) -> float:
-    """How much a series looks like a plunger between two stops."""
+def _position_score(entry: Series, stroke: float) -> float:
+    """How much a series looks like a plunger between two stops that are so far apart, m."""
     other = any(_names(entry, quantity) for quantity in BESIDE)
+    unit = UNITS["length"][_length_unit(entry, stroke)]
+    is_as_far = abs(np.log(unit.factor * entry.span / stroke)) < ALIKE if entry.span else False
     return (
-        2.0 * _names(entry, "position") + entry.rest_share - 2.0 * other + 0.1 * entry.is_first_choice - _is_main(entry)
+        2.0 * _names(entry, "position")
+        + entry.rest_share
+        - 2.0 * other
+        + 0.1 * entry.is_first_choice
+        + 0.3 * is_as_far
+        - _is_main(entry)
+    )
+
+
+def _length_unit(entry: Series, stroke: float) -> str:
+    """The unit that its file states, or in which it travels about as far as a stroke, m."""
+    units = UNITS["length"]
+    if entry.unit in units:
+        return entry.unit
+    return min(
+        ("m", "mm", "um", "nm"), key=lambda name: abs(np.log(units[name].factor * max(entry.span, 1e-300) / stroke))
     )
 
 
@@ -296,13 +316,10 @@ def _position_guess(quantity: str, entry: Series, parameters: ValveParameters) -
     reasons = [f"reads {entry.low:.6g} to {entry.high:.6g}, at rest {entry.at_rest:.6g}"]
     settings: dict[str, object] = {}
     units = UNITS["length"]
+    unit = _length_unit(entry, parameters.stroke)
     if entry.unit in units:
-        unit = entry.unit
         reasons.append("unit as the file says")
     else:
-        unit = min(
-            ("m", "mm", "um", "nm"), key=lambda name: abs(np.log(units[name].factor * entry.span / parameters.stroke))
-        )
         reasons.append(f"CHECK unit: travels {entry.span:.4g}, the declared stroke is {parameters.stroke:.4g} m")
         ratio = parameters.stroke / (units[unit].factor * entry.span)
         if not 1.0 / UNLIKE < ratio < UNLIKE:

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+import numpy as np
 import zstandard
 from rosbags.typesys import get_types_from_idl, get_types_from_msg
 
@@ -127,19 +128,32 @@ def read_recording(path: Path, select: Select, most: int | None = None) -> Recor
 
 def _recorded_by(topics: Iterable[Topic]) -> tuple[bool, list[str]]:
     """Whether messages count as recorded when they were published, and what is said of it."""
-    ways = [(topic.size, way) for topic in topics if (way := topic.ways) is not None]
+    found = list(topics)
+    ways = [(topic.size, way) for topic in found if (way := topic.ways) is not None]
     if not ways:
         return False, []
     shortest, longest = min(way.shortest for _, way in ways), max(way.longest for _, way in ways)
-    most = MOST_STANDING * sum(size for size, _ in ways)
-    if sum(way.apart for _, way in ways) > most:
-        return True, ["several messages were logged at one time; those without a stamp are timed by their publication"]
-    if sum(way.standing for _, way in ways) > most:
+    if sum(way.standing for _, way in ways) > MOST_STANDING * sum(size for size, _ in ways) and _is_coarse(found):
+        if sum(way.apart for _, way in ways) > MOST_STANDING * sum(way.standing for _, way in ways):
+            words = "several messages were logged at one time; those without a stamp are timed by their publication"
+            return True, [words]
         return False, ["most messages were logged at the time of another; those without a stamp are timed as coarsely"]
     if not (-EARLY <= shortest <= LATE and longest < SECOND):
         return False, []
     late = f"messages were logged up to {longest / 1e6:.2f} ms after they were published"
     return True, [f"{late}; those without a stamp are timed by their publication"] if longest > LATE else []
+
+
+def _is_coarse(topics: Sequence[Topic]) -> bool:
+    """Whether most messages without a stamp were logged at the time of another, of whichever topic.
+
+    Else the log is fine, and a driver sends the messages of another topic in bursts.
+    """
+    logged = [topic.logged for topic in topics]
+    times, counts = np.unique(np.concatenate(logged), return_counts=True)
+    loose = [own for topic, own in zip(topics, logged, strict=True) if not topic.is_stamped]
+    shared = [counts[np.searchsorted(times, own)] > 1 for own in loose]
+    return sum(map(np.count_nonzero, shared)) > MOST_STANDING * sum(map(len, loose))
 
 
 class _NothingError(Exception):
@@ -167,7 +181,7 @@ def _read(files: Sequence[Path], select: Select, most: int | None) -> _Found:
             pass
         else:
             return found
-    readers = [read_records if file.suffix == ".mcap" else read_database for file in files]
+    readers = [read_records if file.suffix.lower() == ".mcap" else read_database for file in files]
     found = _topics([read(file, {}) for read, file in zip(readers, files, strict=True)], select, most)
     for read, file in zip(readers, files, strict=True):
         if found[2]:
@@ -177,7 +191,7 @@ def _read(files: Sequence[Path], select: Select, most: int | None) -> _Found:
 
 def _indexed(files: Sequence[Path]) -> list[IndexedMcap]:
     try:
-        return [IndexedMcap(file) for file in files] if all(file.suffix == ".mcap" for file in files) else []
+        return [IndexedMcap(file) for file in files] if all(file.suffix.lower() == ".mcap" for file in files) else []
     except Exception:  # the library raises what it stumbles over
         return []
 
@@ -264,7 +278,8 @@ def _refuse_what_is_no_recording(path: Path) -> None:
         if not _storage_files(path):
             raise TraceError(f"{path}: the folder holds no .mcap or .db3 file; give a rosbag2 folder or a .mcap file")
         return
-    if path.suffix not in MAGIC:
+    suffix = path.suffix.lower()
+    if suffix not in MAGIC:
         raise TraceError(
             f"{path}: is not a recording; give a rosbag2 folder, a .mcap file, or a table (.csv, .parquet, .mat)"
         )
@@ -277,9 +292,9 @@ def _refuse_what_is_no_recording(path: Path) -> None:
         raise TraceError(f"{path}: cannot be read ({error.strerror}); check the permissions") from error
     if not head:
         raise TraceError(f"{path}: is empty (0 bytes), nothing was recorded; record it again")
-    if not head.startswith((MAGIC[path.suffix], ZSTD_MAGIC)):
+    if not head.startswith((MAGIC[suffix], ZSTD_MAGIC)):
         raise TraceError(
-            f"{path}: is not a {path.suffix} file, it starts with {head[:8]!r}; give a rosbag2 folder or a .mcap file"
+            f"{path}: is not a {suffix} file, it starts with {head[:8]!r}; give a rosbag2 folder or a .mcap file"
         )
 
 

@@ -305,6 +305,17 @@ class Topic:
             matrix, index, known = matrix[~same], index[~same], None
 
     @property
+    def logged(self) -> Times:
+        """When each message was logged, ns, shape (n,), in the order of the files."""
+        self._take_waiting()
+        return np.concatenate([np.empty(0, dtype=np.int64), *(block.times for block in self._blocks)])
+
+    @property
+    def is_stamped(self) -> bool:
+        """Whether a message has a header."""
+        return any(block.has_header.any() for block in self._blocks)
+
+    @property
     def ways(self) -> Ways | None:
         """How long messages took to the log, and how long it stood still; None where there is no message."""
         self._take_waiting()
