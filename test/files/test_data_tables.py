@@ -126,6 +126,9 @@ FORMS: dict[str, tuple[str | bytes, object, str]] = {
     "milliseconds of a controller": ("Time,lift\n" + rows("{d:%H:%M:%S;%f},{x}"), "Time", "lift"),
     "two encodings": ("t,lift [µm]\n# ".encode() + b"\xd6ffnung\n" + rows("{t},{x}").encode(), "t", "lift [µm]"),
     "durations of pandas": (",lift\n" + rows("0 days {d:%H:%M:%S.%f},{x}"), "1", "lift"),
+    "time of day and milliseconds": (
+        "Time,ms,lift\n" + rows("{d:%H:%M:%S},{d.microsecond}e-3,{x}"), ["Time", "ms"], "lift",
+    ),
     "days of the year": ("Time,lift\n" + rows("{d:%j:%H:%M:%S.%f},{x}"), "Time", "lift"),
     "whole numbers beyond 2^53": (
         "t,lift\n" + rows("1709390268{n:03d}000000,{x}"), {"column": "t", "unit": "ns"}, "lift",
@@ -260,6 +263,9 @@ def test_comments_and_a_head_that_stands_again_among_the_numbers_are_left_out_an
         ("Time(s),CH1(V),t0 = 0.0, tInc = 5.0e-05,\n", 50e-6),
         ("Time interval,:50uS,50uS\n\nindex,CH1\n", 50e-6),
         ("Sample Interval,250 \u03bcs\nn,lift\n", 250e-6),
+        ("; Samplerate: 20 kHz\nn,lift\n", 50e-6),
+        ("Sampling period [ms],0.05\nn,lift\n", 50e-6),
+        ("SampleTime[ms],1\nn,lift\n", 1e-3),
         ("HResolution,5.0E-05,5.0E-05\nn,lift\n", 50e-6),
     ],
 )

@@ -549,6 +549,10 @@ DRAFTED = {
     "a counter that jumps": ("n,t,u,lift", "{n},{t:.6f},{u:.4f},{x:.5f}", "column: t", "lift, unit: mm"),
     "ticks of Windows": ("t,u,lift", "{ticks},{u:.4f},{x:.5f}", "unit: 100ns", "lift, unit: mm"),
     "a laser in volts": ("t,u,laser_V", "{t:.6f},{u:.4f},{x:.5f}", "column: t", "laser_V, unit: mm"),
+    "milliseconds beside the time of day": (
+        "Time,ms,u,lift", "{d:%H:%M:%S},{d.microsecond}e-3,{u:.4f},{x:.5f}",
+        "[Time, ms], unit: [s, ms]", "lift, unit: mm",
+    ),
     "codes for no reading": ("t,u,lift", "{t:.6f},{u:.4f},{coded:.5f}", "column: t", "lift, unit: mm"),
     "nanometres": ("t,u,lift", "{t:.6f},{u:.4f},{nm:.0f}", "column: t", "lift, unit: nm"),
 }  # fmt: skip

@@ -240,7 +240,11 @@ class DataTable:
         return bool(axis.form) or any(kind_of(cell) == "date" for cell in cells)
 
     def _seconds(self, places: Sequence[int], axis: TimeAxis) -> tuple[Array, float]:
-        """Times of such columns: (n,) s, and since when."""
+        """Times of such columns: (n,) s, and since when; the second may hold parts of a second."""
+        part = self.names[places[1]] if len(places) > 1 else ""
+        if not axis.form and any(own.fullmatch(part) for own in PARTS.values()):
+            times, origin = self._seconds(places[:1], axis)
+            return times + self._unit(axis, 1, part) * self._numbers(places[1]), origin
         stamps = []
         for row, cells in enumerate(zip(*(self._cells(place) for place in places), strict=True)):
             stamp = None if None in cells else stamp_in(" ".join(cell for cell in cells if cell), axis.form)

@@ -44,11 +44,11 @@ _GOES_ON: Final = 0.01
 _MOST_TRAILING: Final = 20
 """Lines without numbers behind the data that are left out: a summary, or a cut last row."""
 _INTERVAL: Final = re.compile(
-    r"(delta[_ ]?x|([xt][_ ]?)?inc(r(ement)?)?|hresolution|(sampl\w*|time)[_ ](interval|period|step)|abtastintervall)"
-    r"( ?[\[(]s\w*[\])])?",
+    r"(delta[_ ]?x|([xt][_ ]?)?inc(r(ement)?)?|hresolution|(sampl\w*|time)[_ ]?(interval|period|step)|sample[_ ]?time|"
+    r"abtastintervall)( ?[\[(][mµuμn]?s\w*[\])])?",
     re.IGNORECASE,
 )
-_RATE: Final = re.compile(r"(sampl\w*[_ ]?(rate|frequency)|abtastrate)( ?[\[(]hz[\])])?", re.IGNORECASE)
+_RATE: Final = re.compile(r"(sampl\w*[_ ]?(rate|frequency)|abtastrate)( ?[\[(]k?hz[\])])?", re.IGNORECASE)
 """How a head calls the interval between rows, s, and their rate, Hz."""
 _NUMBERS: Final = re.compile(
     r"#|n|nr|no|index|idx|id|rows?|records?|samples?|points?|count(er)?|number|nummer|zeile", re.IGNORECASE
@@ -189,13 +189,13 @@ def _stated_interval(head: Rows) -> tuple[float, str]:
         cells = [part for cell in whole for part in re.split(r"[:=]\s+", cell)]  # "Sample rate: 10 kHz" in one cell
         for place, cell in enumerate(cells):
             for pattern, power in ((_INTERVAL, 1), (_RATE, -1)):
-                if not pattern.fullmatch(cell.strip(":=#%/! ")):
+                if not pattern.fullmatch(cell.strip(":=#%/!; ")):
                     continue
                 below = head[row + 1][place : place + 1] if row + 1 < len(head) and len(cells) == len(whole) else []
                 beside = (*cells[place + 1 : place + 3], "", "")
                 for text, after in (beside[:2], *((cell, "") for cell in below)):
                     value, unit = quantity_in(text.strip(":=")) or (number_in(text) or 0.0, after)
-                    unit = _plain(unit).lower()
+                    unit = _plain(unit or _unit_in(cell)).lower()
                     factor = 1e3 if unit == "khz" else UNITS["time"][unit].factor if unit in UNITS["time"] else 1.0
                     if np.isfinite(value) and value > 0.0:
                         return (factor * value) ** power, cell

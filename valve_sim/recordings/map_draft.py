@@ -24,7 +24,7 @@ from valve_sim.recordings.trouble import MOST_AMPERES
 from valve_sim.recordings.voltage_steps import count_levels
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -361,7 +361,7 @@ def _time_line(table: DataTable) -> tuple[list[str], list[Series], dict[str, str
             troubles[name] = (
                 str(error).removeprefix(f"{table.path}: ").partition(";")[0].replace(f"column {name}: ", "")
             )
-    parts = [pair for pair in itertools.pairwise(table.names) if _is_part(columns, *pair)]
+    parts = [pair for pair in itertools.pairwise(table.names) if _is_part(table, columns, *pair)]
     with np.errstate(invalid="ignore"):  # of readings beyond the range
         steps_of = {name: np.diff(_begun(values)) for name, values in columns.items() if len(values) > 1}
     dating = {name: steps for name, steps in steps_of.items() if _dates(name, steps)}
@@ -414,11 +414,21 @@ def _without_times(table: DataTable, troubles: Mapping[str, str]) -> str:
         says_so = PLAIN.fullmatch(name) or any(part.fullmatch(name) for part in PARTS.values())
         if not says_so and table.units.get(name) not in UNITS["time"]:
             continue
-        try:
-            table.row_times(TimeAxis((name,)))
-        except TableError as error:
-            return str(error).removeprefix(f"{table.path}: ").partition(";")[0]
+        errors = list(_refusals(table, name))
+        if len(errors) > len(FORMS):
+            # Of dates that one of the forms fits, it is their times that are wrong.
+            why = next((words for words in errors if ": found " not in words), errors[0])
+            return why.removeprefix(f"{table.path}: ").partition(";")[0]
     return next((f"column {name}: {words}" for name, words in troubles.items()), "no column ascends")
+
+
+def _refusals(table: DataTable, name: str) -> Iterator[str]:
+    """Why a column holds no times, as numbers or dates that are known, and by each of the other forms."""
+    for form in ("", *FORMS):
+        try:
+            table.row_times(TimeAxis((name,), form=form))
+        except TableError as error:
+            yield str(error)
 
 
 def _begun(values: Array) -> Array:
@@ -464,11 +474,13 @@ def _refuse_one_value_a_row(table: DataTable, names: Iterable[str]) -> None:
             )
 
 
-def _is_part(columns: Mapping[str, Array], first: str, second: str) -> bool:
+def _is_part(table: DataTable, columns: Mapping[str, Array], first: str, second: str) -> bool:
     """Whether two columns hold one time: a day and a time of day, or seconds and their fractions."""
     if first.isdigit():  # without names: as `ros2 topic echo --csv` writes a stamp
         return {first, second} <= set(columns) and _is_stamp(columns[first], columns[second])
     is_fraction = any(part.fullmatch(second) for part in PARTS.values())
+    if is_fraction and PLAIN.fullmatch(first) and table.holds_dates(first):
+        return True
     return (is_fraction or PLAIN.fullmatch(second) is not None) and WHOLE.fullmatch(first) is not None
 
 
