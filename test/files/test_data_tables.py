@@ -264,6 +264,7 @@ def test_comments_and_a_head_that_stands_again_among_the_numbers_are_left_out_an
         ("Time interval,:50uS,50uS\n\nindex,CH1\n", 50e-6),
         ("Sample Interval,250 \u03bcs\nn,lift\n", 250e-6),
         ("; Samplerate: 20 kHz\nn,lift\n", 50e-6),
+        ("; Samplerate: 0.02 MHz\nn,lift\n", 50e-6),
         ("Sampling period [ms],0.05\nn,lift\n", 50e-6),
         ("SampleTime[ms],1\nn,lift\n", 1e-3),
         ("HResolution,5.0E-05,5.0E-05\nn,lift\n", 50e-6),

@@ -25,7 +25,7 @@ _GROUPED: Final = re.compile(
 )
 """Thousands that are parted, where no decimal point can be meant."""
 _QUANTITY: Final = re.compile(
-    r"([+-]?\d[\d.,]*(?:e[+-]?\d+)?)\s*([nµuμm]?(?:s|sec|seconds?|V|A)|[nµuμmc]?m|k?Hz|M?Pa|m?bar|°C|degC|m?N)",
+    r"([+-]?\d[\d.,]*(?:e[+-]?\d+)?)\s*([nµuμm]?(?:s|sec|seconds?|V|A)|[nµuμmc]?m|[kM]?Hz|M?Pa|m?bar|°C|degC|m?N)",
     re.IGNORECASE,
 )
 """A number with its unit, as MATLAB writes durations ("0.001 sec") and hand-held instruments their readings."""

@@ -48,8 +48,9 @@ _INTERVAL: Final = re.compile(
     r"abtastintervall)( ?[\[(][mµuμn]?s\w*[\])])?",
     re.IGNORECASE,
 )
-_RATE: Final = re.compile(r"(sampl\w*[_ ]?(rate|frequency)|abtastrate)( ?[\[(]k?hz[\])])?", re.IGNORECASE)
+_RATE: Final = re.compile(r"(sampl\w*[_ ]?(rate|frequency)|abtastrate)( ?[\[(][km]?hz[\])])?", re.IGNORECASE)
 """How a head calls the interval between rows, s, and their rate, Hz."""
+_HERTZ: Final = {"khz": 1e3, "mhz": 1e6}
 _NUMBERS: Final = re.compile(
     r"#|n|nr|no|index|idx|id|rows?|records?|samples?|points?|count(er)?|number|nummer|zeile", re.IGNORECASE
 )
@@ -196,7 +197,7 @@ def _stated_interval(head: Rows) -> tuple[float, str]:
                 for text, after in (beside[:2], *((cell, "") for cell in below)):
                     value, unit = quantity_in(text.strip(":=")) or (number_in(text) or 0.0, after)
                     unit = _plain(unit or _unit_in(cell)).lower()
-                    factor = 1e3 if unit == "khz" else UNITS["time"][unit].factor if unit in UNITS["time"] else 1.0
+                    factor = _HERTZ.get(unit) or (UNITS["time"][unit].factor if unit in UNITS["time"] else 1.0)
                     if np.isfinite(value) and value > 0.0:
                         return (factor * value) ** power, cell
     return 0.0, ""

@@ -187,7 +187,7 @@ def _message_index(stream: BinaryIO, offset: int) -> tuple[Places, Places]:
     if opcode != Opcode.MESSAGE_INDEX or len(raw) % 16:
         raise NotIndexed
     entries = np.frombuffer(raw, dtype="<i8").reshape(-1, 2)
-    return entries[:, 0], entries[:, 1]
+    return entries[:, 0].copy(), entries[:, 1].copy()
 
 
 def cut_out(raw: Bytes, starts: NDArray[np.integer], dtype: np.dtype[Any]) -> NDArray[Any]:
@@ -206,9 +206,11 @@ def _payload_bounds(raw: Bytes, places: Places, channel: int) -> tuple[Places, P
     if not 0 <= places.min() <= places.max() <= len(raw) - MESSAGE.itemsize:
         raise NotIndexed
     heads = cut_out(raw, places, MESSAGE)
-    starts, stops = places + MESSAGE.itemsize, places + RECORD_HEAD.size + heads["length"]
-    is_message = (heads["opcode"] == Opcode.MESSAGE) & (heads["channel"] == channel)
-    if not (is_message & (starts <= stops) & (stops <= len(raw))).all():
+    starts, lengths = places + MESSAGE.itemsize, heads["length"].copy()
+    stops = places + RECORD_HEAD.size + lengths
+    if not (MESSAGE_HEAD.size <= lengths.min() <= lengths.max() <= len(raw) and stops.max() <= len(raw)):
+        raise NotIndexed
+    if not ((heads["opcode"] == Opcode.MESSAGE).all() and (heads["channel"] == channel).all()):
         raise NotIndexed
     return starts, stops, np.ascontiguousarray(heads["sent"])
 

@@ -321,12 +321,15 @@ class Topic:
         self._take_waiting()
         if not self._blocks:
             return None
-        ways = [block.times - block.published for block in self._blocks]
-        stood = [block.times[1:] == block.times[:-1] for block in self._blocks]
-        sent = [block.published[1:] != block.published[:-1] for block in self._blocks]
-        apart = [a & b for a, b in zip(stood, sent, strict=True)]
-        shortest, longest = min(int(own.min()) for own in ways), max(int(own.max()) for own in ways)
-        return Ways(shortest, longest, sum(map(np.count_nonzero, stood)), sum(map(np.count_nonzero, apart)))
+        shortest, longest, standing, apart = [], [], 0, 0
+        for block in self._blocks:
+            way = block.times - block.published
+            shortest.append(int(way.min()))
+            longest.append(int(way.max()))
+            stood = np.flatnonzero(block.times[1:] == block.times[:-1])
+            standing += len(stood)
+            apart += int(np.count_nonzero(block.published[stood + 1] != block.published[stood]))
+        return Ways(min(shortest), max(longest), standing, apart)
 
     def finish(self, *, by_publication: bool = False) -> None:
         """Put what was taken into the order of time; later messages would be lost.
