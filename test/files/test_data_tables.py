@@ -337,7 +337,15 @@ def test_bytes_that_a_logger_did_not_write_are_left_out_and_said(tmp_path: Path)
     (tmp_path / "a.csv").write_bytes(b"".join([*lines[:6], bytes(512), *lines[6:]]))
     table = open_table(tmp_path / "a.csv")
     np.testing.assert_array_equal(table.column("lift"), LIFTS)
-    assert table.findings[0].startswith("512 bytes of 0 left out")
+    assert table.findings[0].startswith("512 zero bytes left out")
+
+
+def test_a_text_of_two_bytes_a_character_that_lost_one_is_said_to_be_broken(tmp_path: Path) -> None:
+    data = ("t\tlift\t\n" + rows("{t}\t{x}\t")).encode("utf-16")
+    (tmp_path / "a.txt").write_bytes(data[:-99] + data[-98:])
+    table = open_table(tmp_path / "a.txt")
+    np.testing.assert_array_equal(table.column("lift"), LIFTS[: table.rows])
+    assert "unreadable characters: 1, for bytes of the file are missing" in table.findings
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ MOST_REPEATED: Final = 20
 _WHOLE: Final = re.compile(r"[+-]?\d+")
 _THOUSANDS: Final = re.compile(r"[+-]?[1-9]\d{0,2}((,\d{3})+|(\.\d{3})+)")
 """A number without a mark, and one whose mark may part thousands."""
-_INFINITE, _NO_NUMBER = 9.9e37, 9.91e37
+_LARGEST, _INFINITE, _NO_NUMBER = 9.8e37, 9.9e37, 9.91e37
 _EXACT: Final = 2.0**53
 """Beyond it not every whole number is one of floating point."""
 _EPOCH_DAY: Final = 719_163
@@ -270,10 +270,10 @@ class DataTable:
 def _decoded(values: Array) -> Array:
     """Numbers, (n,), with ∞ and NaN for what instruments write in their place by SCPI (1999, 7.2.1.4 and 5)."""
     sizes = np.abs(values)
-    is_coded = np.isclose(sizes, _INFINITE, rtol=1e-6) | np.isclose(sizes, _NO_NUMBER, rtol=1e-6)
-    if not is_coded.any():
+    if not (sizes > _LARGEST).any():
         return values
-    return np.where(is_coded, np.where(sizes < _NO_NUMBER * (1.0 - 1e-6), np.copysign(np.inf, values), np.nan), values)
+    is_infinite, is_none = (np.isclose(sizes, code, rtol=1e-6) for code in (_INFINITE, _NO_NUMBER))
+    return np.where(is_infinite, np.copysign(np.inf, values), np.where(is_none, np.nan, values))
 
 
 def _since_the_first_day(stamps: Sequence[Stamp]) -> tuple[Array, float]:

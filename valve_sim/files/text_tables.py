@@ -93,16 +93,18 @@ class TextTable(DataTable):
     """
 
     def __init__(self, path: Path, lines: Sequence[str] | None = None) -> None:
-        holes = 0
+        holes = unread = 0
         if lines is None:
             text = table_text(path, TableError).replace("\r\n", "\n").replace("\r", "\n")
-            holes, lines = text.count("\0"), text.replace("\0", "").split("\n")
+            holes, unread, lines = text.count("\0"), text.count("\ufffd"), text.replace("\0", "").split("\n")
         self._lines = _joined(lines)
         self._layout = _layout(path, self._lines)
         super().__init__(path, self._layout.names, self._layout.units, self._layout.others)
         self.findings = (self._layout.skipped,) if self._layout.skipped else ()
+        if unread:
+            self.findings += (f"unreadable characters: {unread}, for bytes of the file are missing",)
         if holes:
-            self.findings += (f"{holes} bytes of 0 left out, where a logger lost what it had not yet written",)
+            self.findings += (f"{holes} zero bytes left out: a logger that loses power leaves them",)
         self._stop = self._end()
         self._rows = self._find_rows()
         self.interval = _stated_interval(

@@ -414,21 +414,23 @@ def _without_times(table: DataTable, troubles: Mapping[str, str]) -> str:
         says_so = PLAIN.fullmatch(name) or any(part.fullmatch(name) for part in PARTS.values())
         if not says_so and table.units.get(name) not in UNITS["time"]:
             continue
-        errors = list(_refusals(table, name))
-        if len(errors) > len(FORMS):
+        errors = [words for _, words in _tried(table, name)]
+        if all(errors):
             # Of dates that one of the forms fits, it is their times that are wrong.
             why = next((words for words in errors if ": found " not in words), errors[0])
             return why.removeprefix(f"{table.path}: ").partition(";")[0]
     return next((f"column {name}: {words}" for name, words in troubles.items()), "no column ascends")
 
 
-def _refusals(table: DataTable, name: str) -> Iterator[str]:
-    """Why a column holds no times, as numbers or dates that are known, and by each of the other forms."""
+def _tried(table: DataTable, name: str) -> Iterator[tuple[str, str]]:
+    """Forms of dates, the first empty: numbers and dates that are known; and why a column holds no such times."""
     for form in ("", *FORMS):
         try:
             table.row_times(TimeAxis((name,), form=form))
         except TableError as error:
-            yield str(error)
+            yield form, str(error)
+        else:
+            yield form, ""
 
 
 def _begun(values: Array) -> Array:
@@ -519,13 +521,10 @@ def _stamp(table: DataTable, name: str, values: Array) -> tuple[dict[str, object
 
 def _dated(table: DataTable, name: str) -> tuple[dict[str, object], str] | None:
     """The entry of dates of another form, if one of those that are usual fits."""
-    for form in FORMS:
-        try:
-            table.row_times(TimeAxis((name,), form=form))
-        except TableError:
-            continue
-        return {"column": name, "format": form}, "CHECK format: day and month may be the other way round"
-    return None
+    form = next((form for form, trouble in _tried(table, name) if form and not trouble), "")
+    return (
+        ({"column": name, "format": form}, "CHECK format: day and month may be the other way round") if form else None
+    )
 
 
 def _dates(name: str, steps: Array) -> bool:
