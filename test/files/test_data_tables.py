@@ -125,6 +125,20 @@ FORMS: dict[str, tuple[str | bytes, object, str]] = {
     "halves of a day": ("Time,lift\n" + rows("{d:%I:%M:%S.%f %p},{x}"), "Time", "lift"),
     "milliseconds of a controller": ("Time,lift\n" + rows("{d:%H:%M:%S;%f},{x}"), "Time", "lift"),
     "two encodings": ("t,lift [µm]\n# ".encode() + b"\xd6ffnung\n" + rows("{t},{x}").encode(), "t", "lift [µm]"),
+    "durations of pandas": (",lift\n" + rows("0 days {d:%H:%M:%S.%f},{x}"), "1", "lift"),
+    "time of day and milliseconds": (
+        "Time,ms,lift\n" + rows("{d:%H:%M:%S},{d.microsecond}e-3,{x}"), ["Time", "ms"], "lift",
+    ),
+    "days of the year": ("Time,lift\n" + rows("{d:%j:%H:%M:%S.%f},{x}"), "Time", "lift"),
+    "whole numbers beyond 2^53": (
+        "t,lift\n" + rows("1709390268{n:03d}000000,{x}"), {"column": "t", "unit": "ns"}, "lift",
+    ),
+    "ticks of Windows": ("t,lift\n" + rows("13353800000{n:03d}0000,{x}"), {"column": "t", "unit": "100ns"}, "lift"),
+    "ten thousand comments": ("# gain 1,2\n" * 10_000 + "# t,lift\n" + rows("{t},{x}"), "t", "lift"),
+    "Siglent": (
+        "Record Length,Analog:12\nVertical Scale,CH1:2.00,CH2:0.2\nModel Number,SDS1104X-E\nSecond,Volt,Volt\n"
+        + rows("{t},9,{x}"), "Vertical Scale", "CH2:0.2",
+    ),
     "Campbell": (CAMPBELL + rows('"{d:%Y-%m-%d %H:%M:%S.%f}",{n},{x},"NAN"'), "TIMESTAMP", "lift"),
     "Rigol": ("X,lift,CH2,Start,Step\nSequence,Volt,Volt,0,1e-3\n" + rows("{n},{x},9,,"), {"rate": 1000}, "lift"),
     "Yokogawa": (YOKOGAWA + rows(",{x},9"), {"rate": 1000}, "lift"),
@@ -246,6 +260,14 @@ def test_comments_and_a_head_that_stands_again_among_the_numbers_are_left_out_an
         ("Sample Interval,250 us\nn,lift\n", 0.25e-3),
         ("Sample Period:,2,ms,\nn,lift\n", 2e-3),
         ("Rate of the pump,50\nn,lift\n", 0.0),
+        ("Time(s),CH1(V),t0 = 0.0, tInc = 5.0e-05,\n", 50e-6),
+        ("Time interval,:50uS,50uS\n\nindex,CH1\n", 50e-6),
+        ("Sample Interval,250 \u03bcs\nn,lift\n", 250e-6),
+        ("; Samplerate: 20 kHz\nn,lift\n", 50e-6),
+        ("; Samplerate: 0.02 MHz\nn,lift\n", 50e-6),
+        ("Sampling period [ms],0.05\nn,lift\n", 50e-6),
+        ("SampleTime[ms],1\nn,lift\n", 1e-3),
+        ("HResolution,5.0E-05,5.0E-05\nn,lift\n", 50e-6),
     ],
 )
 def test_a_head_states_the_interval_between_rows(head: str, interval: float, tmp_path: Path) -> None:
@@ -261,12 +283,16 @@ def test_a_head_states_the_interval_between_rows(head: str, interval: float, tmp
         ("t [ms];p (µm)", ("t [ms]", "p (µm)"), {"t [ms]": "ms", "p (µm)": "µm"}),
         ("TIME;CH1\nSecond;Volt", ("TIME", "CH1"), {"TIME": "Second", "CH1": "Volt"}),
         ("# no names here", ("1", "2"), {}),
+        ("t / ms;x_um", ("t / ms", "x_um"), {"t / ms": "ms", "x_um": "um"}),
+        ("in s;C1 in V", ("in s", "C1 in V"), {"C1 in V": "V"}),
+        ("Time, ms;lift (\u03bcm)", ("Time, ms", "lift (\u03bcm)"), {"Time, ms": "ms", "lift (\u03bcm)": "\u00b5m"}),
+        ("t_min;valve_in", ("t_min", "valve_in"), {}),
         ("a;a", ("a", "a_2"), {}),
     ],
 )
 def test_names_and_units(head: str, names: tuple[str, ...], units: dict[str, str], tmp_path: Path) -> None:
     file = tmp_path / "a.txt"
-    file.write_text(f"{head}\n0;0\n1;1\n2;4\n", encoding="latin-1")
+    file.write_text(f"{head}\n0;0\n1;1\n2;4\n", encoding="utf-8" if "\u03bc" in head else "latin-1")
     table = open_table(file)
     assert table.names == names
     assert table.units == units
@@ -276,7 +302,7 @@ CELLS = {
     1.0: ("1", "TRUE", "on", "Ein"),
     0.0: ("false", "OFF", "aus"),
     math.nan: ("", "-", "-----", "#N/A", "NaN", "-nan(ind)", "1.#QNAN", "#DIV/0!", "null", "Invalid"),
-    math.inf: ("∞", "inf", "1.#INF", "OVERLOAD", "OL", "over range"),
+    math.inf: ("∞", "inf", "1.#INF", "OVERLOAD", "OL", "over range", "*****"),
     -math.inf: ("-∞", "-1.#INF", "-Infinity"),
     1234567.5: ("1234567,5", "1,234,567.5", "1.234.567,5", "1'234'567.5", "1.2345675D6"),
     -2.5: ("-2.5", "\u22122,5"),
@@ -289,6 +315,37 @@ CELLS = {
 def test_a_cell_says_a_number(value: float | None, cell: str) -> None:
     found = number_in(cell)
     assert found == value or (found is not None and value is not None and math.isnan(found) and math.isnan(value))
+
+
+def test_numbers_that_stand_for_infinity_and_for_none_are_these(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("t,x\n0,9.9E+37\n1,-9.900000E+37\n2,9.91E+37\n3,1.25\n")
+    np.testing.assert_array_equal(open_table(tmp_path / "a.csv").column("x"), [np.inf, -np.inf, np.nan, 1.25])
+
+
+def test_zones_are_obeyed_where_the_clock_changes_over(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(
+        "t,x\n2024-03-31T01:59:59.999+01:00,0\n2024-03-31T03:00:00.000+02:00,1\n2024-03-31T01:00:00.001Z,2\n"
+    )
+    times = open_table(tmp_path / "a.csv").row_times(TimeAxis(("t",)))
+    np.testing.assert_allclose(np.diff(times.times), 1e-3, atol=1e-9)
+    last = datetime(2024, 3, 31, 1, 0, 0, 1000, tzinfo=timezone.utc).timestamp()
+    assert times.origin + times.times[-1] == pytest.approx(last, abs=1e-6)
+
+
+def test_bytes_that_a_logger_did_not_write_are_left_out_and_said(tmp_path: Path) -> None:
+    lines = ("t,lift\n" + rows("{t},{x}")).encode().splitlines(keepends=True)
+    (tmp_path / "a.csv").write_bytes(b"".join([*lines[:6], bytes(512), *lines[6:]]))
+    table = open_table(tmp_path / "a.csv")
+    np.testing.assert_array_equal(table.column("lift"), LIFTS)
+    assert table.findings[0].startswith("512 zero bytes left out")
+
+
+def test_a_text_of_two_bytes_a_character_that_lost_one_is_said_to_be_broken(tmp_path: Path) -> None:
+    data = ("t\tlift\t\n" + rows("{t}\t{x}\t")).encode("utf-16")
+    (tmp_path / "a.txt").write_bytes(data[:-99] + data[-98:])
+    table = open_table(tmp_path / "a.txt")
+    np.testing.assert_array_equal(table.column("lift"), LIFTS[: table.rows])
+    assert "unreadable characters: 1, for bytes of the file are missing" in table.findings
 
 
 @pytest.mark.parametrize(
@@ -396,6 +453,34 @@ def test_tdms_has_its_times_from_the_waveforms(tmp_path: Path) -> None:
     np.testing.assert_array_equal(table.column("lift"), LIFTS)
 
 
+def test_channels_of_other_rates_have_times_of_their_own(tmp_path: Path) -> None:
+    nptdms = pytest.importorskip("nptdms")
+    with nptdms.TdmsWriter(tmp_path / "a.tdms") as writer:
+        about = {"wf_start_offset": 0.0, "wf_samples": len(TIMES)}
+        lift = nptdms.ChannelObject("lab", "lift", LIFTS, {**about, "wf_increment": 1e-3})
+        coil = nptdms.ChannelObject("lab", "coil", LIFTS[::2], {**about, "wf_increment": 2e-3})
+        writer.write_segment([lift, coil, nptdms.ChannelObject("lab", "note", np.arange(12.0))])
+    table = open_table(tmp_path / "a.tdms")
+    assert table.names == ("note", "time", "lift", "time_2", "coil")
+    np.testing.assert_allclose(table.column("time_2"), [*TIMES[::2], *[math.nan] * 6], atol=1e-12)
+    np.testing.assert_array_equal(table.column("coil"), [*LIFTS[::2], *[math.nan] * 6])
+
+
+def test_cells_of_a_head_that_span_two_lines_name_what_is_below(tmp_path: Path) -> None:
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    for row in (["Run 12"], ["Time", "Coil", None, "Lift"], [None, "U", "I", None], ["s", "V", "A", "mm"]):
+        book.active.append(row)
+    book.active.merge_cells("A2:A3")
+    book.active.merge_cells("B2:C2")
+    for t, x in zip(TIMES.tolist(), LIFTS.tolist(), strict=True):
+        book.active.append([t, 9.0, 0.5, x])
+    book.save(tmp_path / "a.xlsx")
+    table = open_table(tmp_path / "a.xlsx")
+    assert table.names == ("Time", "Coil", "I", "Lift")
+    assert table.units == {"Time": "s", "Coil": "V", "I": "A", "Lift": "mm"}
+
+
 @pytest.mark.parametrize(("suffix", "package"), [("xlsx", "openpyxl"), ("tdms", "nptdms"), ("parquet", "pyarrow")])
 def test_what_a_kind_of_file_needs_is_said(
     suffix: str, package: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -414,6 +499,9 @@ REFUSED = {
     "d.mat": (b"MATLAB 7.3 MAT-file, Platform: x".ljust(124) + b"\0\2IM" + bytes(400), "MATLAB 7.3 .*-v7"),
     "e.parquet": (b"PAR1 and then nothing", "is not a Parquet file"),
     "f.xlsx": (b"PK and then nothing", "is not an Excel file"),
+    "h.csv": (b"PK\x03\x04 and more", "is an Excel file or a zip archive, expected text; name it .xlsx"),
+    "i.txt": (b"\x1f\x8b and more", "is packed by gzip, expected text; unpack it"),
+    "j.csv": (b"key = value\n" * 600, "in its first 508 lines; .* at most 500 lines that are no comments: cut off"),
     "g.tdms": (b"TDSm and then nothing", "holds no column of numbers"),
 }
 

@@ -547,6 +547,13 @@ DRAFTED = {
     "days": ("t,u,lift", "{days:.12f},{u:.4f},{x:.5f}", "unit: d", "lift, unit: mm"),
     "a log of changes": ("t,u,lift", "{t:.6f},{change},{x:.5f}", "column: t", "lift, unit: mm"),
     "a counter that jumps": ("n,t,u,lift", "{n},{t:.6f},{u:.4f},{x:.5f}", "column: t", "lift, unit: mm"),
+    "ticks of Windows": ("t,u,lift", "{ticks},{u:.4f},{x:.5f}", "unit: 100ns", "lift, unit: mm"),
+    "a laser in volts": ("t,u,laser_V", "{t:.6f},{u:.4f},{x:.5f}", "column: t", "laser_V, unit: mm"),
+    "milliseconds beside the time of day": (
+        "Time,ms,u,lift", "{d:%H:%M:%S},{d.microsecond}e-3,{u:.4f},{x:.5f}",
+        "[Time, ms], unit: [s, ms]", "lift, unit: mm",
+    ),
+    "codes for no reading": ("t,u,lift", "{t:.6f},{u:.4f},{coded:.5f}", "column: t", "lift, unit: mm"),
     "nanometres": ("t,u,lift", "{t:.6f},{u:.4f},{nm:.0f}", "column: t", "lift, unit: nm"),
 }  # fmt: skip
 
@@ -560,7 +567,13 @@ def test_a_first_map_of_a_table_finds_its_time_and_its_position(kind: str, tmp_p
         u = float(made.volts[max(0, int(np.searchsorted(made.command_times, t, side="right")) - 1)])
         s, ns = divmod(1_709_390_268_950_000_000 + round(1e9 * t), 10**9)
         row = {"t": t, "s": s, "ns": ns, "d": midnight + timedelta(seconds=t), "u": u, "x": 1e3 * x, "nm": 1e9 * x}
-        row |= {"days": t / 86_400.0, "change": u if u != before else "", "n": n + 50 * (n > 99)}
+        row |= {
+            "days": t / 86_400.0,
+            "change": u if u != before else "",
+            "ticks": 133538 * 10**12 + round(1e7 * t),
+            "n": n + 50 * (n > 99),
+        }
+        row |= {"coded": -9999.0 if n % 300 == 299 else 1e3 * x}
         before = u
         lines.append(form.format(**row))
     (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")
@@ -578,6 +591,31 @@ def test_a_table_without_a_voltage_has_no_draft_but_words_on_its_columns(tmp_pat
     np.savetxt(tmp_path / "a.csv", columns, delimiter=",", header="t,lift,degC", comments="", fmt="%.6f")
     with pytest.raises(TraceError, match=r"neither command nor voltage.* lift: .* a position.*degC: .* a temperature"):
         draft_map(tmp_path / "a.csv", VALVE, "valve-sim map")
+
+
+@pytest.mark.parametrize(
+    ("rows", "words"),
+    [
+        (
+            ["0,0,0", "0.001,9,0", "0.002,9,1", "0.001,9,1"],
+            "line 5: time column t runs backwards, 0.001 s after 0.002 s",
+        ),
+        (["0,0,0", "0.1,9,0", "0.2,9,1", "Run 2", "0,9,1"], "line 5: column t: found 'Run 2', expected a number"),
+    ],
+)
+def test_a_draft_without_times_says_which_row_is_why(rows: list[str], words: str, tmp_path: Path) -> None:
+    """Of several runs in one file, and of a logger that started again; no column of words is taken for one of names."""
+    (tmp_path / "a.csv").write_text("\n".join(["t,u,lift", *rows, *(f"{n},9,1" for n in range(1, 30))]))
+    with pytest.raises(TraceError, match=re.escape(words)):
+        draft_map(tmp_path / "a.csv", VALVE, "valve-sim map")
+
+
+def test_a_draft_asks_for_the_scale_of_a_sensor_in_per_cent(tmp_path: Path, made: Recording) -> None:
+    held = made.volts[np.maximum(np.searchsorted(made.command_times, made.times, side="right") - 1, 0)]
+    columns = np.column_stack([made.times, held, made.pilot_position / 1.23e-5])
+    np.savetxt(tmp_path / "a.csv", columns, delimiter=",", header="t,u,lift_percent", comments="", fmt="%.6f")
+    text = draft_map(tmp_path / "a.csv", VALVE, "valve-sim map")
+    assert "CHECK scale: of a sensor in % or in V? Then scale: 12" in text
 
 
 def test_nothing_that_moves_is_said(tmp_path: Path, made: Recording) -> None:

@@ -6,8 +6,9 @@ import json
 import re
 import shutil
 import sqlite3
-from collections.abc import Callable
-from contextlib import closing
+import struct
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,9 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from valve_sim.files.recording_map import map_from
+from valve_sim.model import ValveParameters
 from valve_sim.recordings import TraceError, list_valves, read_trace
+from valve_sim.recordings.map_draft import draft_map
 from valve_sim.recordings.mcap_files import unpack_zstd
 
 from .bag_makers import (
@@ -201,6 +204,12 @@ REFUSED: dict[str, tuple[Callable[[Path], Path], str]] = {
         ),
         "none of 1 messages can be read",
     ),
+    "commands that share one time": (
+        lambda tmp: make_mcap(
+            tmp / "a.mcap", [own._replace(time=EPOCH) if own.topic == VOLTAGE else own for own in good_messages()]
+        ),
+        "all 2 commands have one time",
+    ),
     "stamps too coarse": (
         lambda tmp: make_mcap(tmp / "a.mcap", restamped(lambda _, true: true - true % 1_000_000)),
         "have the stamp of another sample",
@@ -233,8 +242,9 @@ def check(path: Path, finding: str, least: int, most: int = 1000) -> None:
     np.testing.assert_array_equal(trace.pilot_position, truth.pilot_position[nearest])
 
 
-def mcap_by_another_writer(path: Path, *, beside: bool = False, **options: Any) -> Path:
+def mcap_by_another_writer(path: Path, *, beside: bool = False, of_middleware: bool = False, **options: Any) -> Path:
     """Write the good messages as other recorders do: with checksums, small chunks, or none; others beside them."""
+    name, kind = (r"rt/\1", r"\1::msg::dds_::\2_") if of_middleware else (r"/\1", r"\1/msg/\2")
     with path.open("wb") as stream:
         writer = McapWriter(stream, compression=CompressionType.NONE, **options)
         writer.start("ros2", "test")
@@ -244,8 +254,9 @@ def mcap_by_another_writer(path: Path, *, beside: bool = False, **options: Any) 
             writer.add_message(writer.register_channel(f"/{encoding}", encoding, schema), EPOCH, b"{}", EPOCH)
         for message in good_messages():
             if message.topic not in channels:
-                schema = writer.register_schema(message.type, "ros2msg", b"")
-                channels[message.topic] = writer.register_channel(message.topic, "cdr", schema)
+                schema = writer.register_schema(re.sub(r"(\w+)/msg/(\w+)", kind, message.type), "ros2msg", b"")
+                topic = re.sub("^/(.*)", name, message.topic)
+                channels[message.topic] = writer.register_channel(topic, "cdr", schema)
             writer.add_message(channels[message.topic], message.time, message.data, message.time)
         writer.finish()  # type: ignore[no-untyped-call]
     return path
@@ -287,6 +298,23 @@ def split(tmp: Path) -> Path:
     shutil.move(make_folder(tmp / "other", messages[500:]) / "other.mcap", first / "bag_1.mcap")
     (first / "metadata.yaml").unlink()
     return first
+
+
+def with_an_empty_part(tmp: Path) -> Path:
+    """A recorder that lost power had made the next file, and written nothing into it."""
+    path = folder(tmp)
+    (path / "bag_1.mcap").write_bytes(b"")
+    text = (path / "metadata.yaml").read_text()
+    (path / "metadata.yaml").write_text(re.sub(r"( +- )bag.mcap\n", r"\1bag.mcap\n\1bag_1.mcap\n", text))
+    return path
+
+
+def unpacked_beside(tmp: Path) -> Path:
+    """As playing a packed recording leaves it, here with half of the unpacked file."""
+    path = folder(tmp, compression=CompressionMode.FILE)
+    (packed,) = path.glob("*.zstd")
+    packed.with_suffix("").write_bytes(unpack_zstd(packed.read_bytes())[: 1 << 16])
+    return path
 
 
 def with_write_ahead_log(tmp: Path) -> Path:
@@ -359,6 +387,7 @@ READ: dict[str, tuple[Callable[[Path], Path], str, tuple[int, int]]] = {
         (300, 900),
     ),
     "without its last bytes": (lambda tmp: cut(make_mcap(tmp / "a.mcap", good_messages()), 0.9999), "", WHOLE),
+    "a suffix in capitals": (lambda tmp: make_mcap(tmp / "a.mcap", good_messages()).rename(tmp / "A.MCAP"), "", WHOLE),
     "without chunks, cut": (
         lambda tmp: cut(mcap_by_another_writer(tmp / "a.mcap", use_chunking=False), 0.6),
         "what followed is lost",
@@ -402,6 +431,18 @@ READ: dict[str, tuple[Callable[[Path], Path], str, tuple[int, int]]] = {
         WHOLE,
     ),
     "several files": (split, "kept 1002", WHOLE),
+    "an empty part": (with_an_empty_part, r"nothing of bag_1.mcap is valid\); kept 1002 messages, the rest is", WHOLE),
+    "unpacked beside packed": (unpacked_beside, "", WHOLE),
+    "names of topics without a slash": (
+        lambda tmp: make_mcap(tmp / "a.mcap", [own._replace(topic=own.topic[1:]) for own in good_messages()]),
+        "",
+        WHOLE,
+    ),
+    "topics and types as the middleware has them": (
+        lambda tmp: mcap_by_another_writer(tmp / "a.mcap", of_middleware=True),
+        "",
+        WHOLE,
+    ),
     "a cut database": (
         lambda tmp: folder(tmp, 0.5, storage=StoragePlugin.SQLITE3),
         r"kept \d+ of 1002 messages, what followed is lost",
@@ -435,26 +476,58 @@ def test_of_a_compressed_chunk_with_a_hole_what_comes_before_it_is_kept() -> Non
     assert found[:kept] == whole[:kept]
 
 
+def logged_and_published(path: Path, logged: Callable[[Message], int], published: Callable[[Message], int]) -> Path:
+    """The good messages, with times of the log and of publication by their own."""
+    with path.open("wb") as stream:
+        writer = McapWriter(stream)
+        writer.start("ros2", "test")
+        channels: dict[str, int] = {}
+        for message in good_messages():
+            if message.topic not in channels:
+                schema = writer.register_schema(message.type, "ros2msg", b"")
+                channels[message.topic] = writer.register_channel(message.topic, "cdr", schema)
+            writer.add_message(channels[message.topic], logged(message), message.data, published(message))
+        writer.finish()  # type: ignore[no-untyped-call]
+    return path
+
+
 @pytest.mark.parametrize(("ahead", "lateness"), [(0, 0.0), (2_000_000, 3.4e-3), (10**15, 3.4e-3)])
 def test_messages_are_timed_by_their_publication_where_both_clocks_agree(
     ahead: int, lateness: float, tmp_path: Path
 ) -> None:
     """Commands that are logged 3.4 ms late; a publishers' clock that is so many ns ahead is another one."""
-    path = tmp_path / "a.mcap"
-    with path.open("wb") as stream:
-        writer = McapWriter(stream)
-        writer.start("ros2", "test")
-        channels = {}
-        for message in good_messages():
-            if message.topic not in channels:
-                schema = writer.register_schema(message.type, "ros2msg", b"")
-                channels[message.topic] = writer.register_channel(message.topic, "cdr", schema)
-            logged = message.time + 3_400_000 * (message.topic == VOLTAGE)
-            writer.add_message(channels[message.topic], logged, message.data, message.time + ahead)
-        writer.finish()  # type: ignore[no-untyped-call]
+    path = logged_and_published(
+        tmp_path / "a.mcap", lambda own: own.time + 3_400_000 * (own.topic == VOLTAGE), lambda own: own.time + ahead
+    )
     trace, truth = read_trace(path), clean_trace()
     np.testing.assert_allclose(trace.drive.times - truth.drive.times, lateness, atol=1e-8)
     assert any("3.40 ms after they were published" in finding for finding in trace.findings) == (lateness == 0.0)
+
+
+@pytest.mark.parametrize("step", [2_300_000, 10**19])
+def test_messages_are_timed_by_their_publication_where_the_log_stands_still(step: int, tmp_path: Path) -> None:
+    path = logged_and_published(tmp_path / "a.mcap", lambda own: own.time // step * step, lambda own: own.time)
+    trace = read_trace(path)
+    np.testing.assert_allclose(trace.drive.times, clean_trace().drive.times, atol=1e-8)
+    assert "a.mcap: several messages were logged at one time" in trace.findings[0]
+
+
+@pytest.mark.parametrize("ahead", [0, 2_000_000])
+def test_of_samples_that_are_sent_in_bursts_nothing_follows_for_commands(ahead: int, tmp_path: Path) -> None:
+    """The publishers' clock is that of the recorder, or another one; the log is fine."""
+    path = logged_and_published(
+        tmp_path / "a.mcap",
+        lambda own: own.time + 12_345 if own.topic == VOLTAGE else (own.time // 2_300_000 + 1) * 2_300_000,
+        lambda own: own.time + ahead,
+    )
+    trace = read_trace(path)
+    np.testing.assert_allclose(trace.drive.times, clean_trace().drive.times, atol=2e-5)
+    assert not any("at one time" in finding or "coarsely" in finding for finding in trace.findings)
+
+
+def test_a_log_that_stands_still_without_a_publication_is_named(tmp_path: Path) -> None:
+    path = logged_and_published(tmp_path / "a.mcap", *[lambda own: own.time // 2_300_000 * 2_300_000] * 2)
+    assert "a.mcap: most messages were logged at the time of another" in read_trace(path).findings[0]
 
 
 IDL = """\
@@ -493,6 +566,63 @@ def test_a_type_of_the_lab_is_read_by_its_definition_in_idl(tmp_path: Path) -> N
     entries = {"command": "/volts", "position": {"topic": "/lift", "unit": "mm"}}
     found = read_trace(tmp_path / "a.mcap", None, map_from(entries, "map.yaml"))
     np.testing.assert_allclose(found.pilot_position, truth.pilot_position, atol=1e-15)
+
+
+def as_second_version(message: Message, order: str, *, delimited: bool) -> Message:
+    """A Float64, or a JointState of good messages, as XCDR2 writes it: numbers lie at multiples of 4 at most."""
+    body = bytearray()
+
+    def put(form: str, *values: Any) -> None:
+        body.extend(b"\0" * (-len(body) % 4) + struct.pack(order + form, *values))
+
+    def put_text(text: str) -> None:
+        put(f"I{len(text) + 1}s", len(text) + 1, text.encode())
+
+    @contextmanager
+    def sized(*, wanted: bool = True) -> Iterator[None]:
+        if wanted:
+            put("I", 0)
+        begin = len(body)
+        yield
+        if wanted:
+            struct.pack_into(order + "I", body, begin - 4, len(body) - begin)
+
+    store = get_typestore(Stores.ROS2_JAZZY)
+    plain: Any = store.deserialize_cdr(message.data, message.type)
+    with sized(wanted=delimited):
+        if message.type == FLOAT:
+            put("d", plain.data)
+        else:
+            with sized(wanted=delimited):
+                with sized(wanted=delimited):
+                    put("iI", plain.header.stamp.sec, plain.header.stamp.nanosec)
+                put_text(plain.header.frame_id)
+            with sized():
+                put("I", len(plain.name))
+                for name in plain.name:
+                    put_text(name)
+            for numbers in (plain.position, plain.velocity, plain.effort):
+                put(f"I{len(numbers)}d", len(numbers), *numbers)
+    head = bytes([0, (8 if delimited else 6) + (order == "<"), 0, 0])
+    return message._replace(data=head + bytes(body))
+
+
+@pytest.mark.parametrize("delimited", [False, True])
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_messages_of_the_second_version_of_cdr_are_read(order: str, delimited: bool, tmp_path: Path) -> None:
+    messages = [as_second_version(message, order, delimited=delimited) for message in good_messages()]
+    path = make_mcap(tmp_path / "a.mcap", messages)
+    check(path, "", 1000)
+    assert read_trace(path).findings == ()
+
+
+def test_a_way_to_write_messages_that_is_not_read_is_named(tmp_path: Path) -> None:
+    messages = [message._replace(data=b"\0\x0b" + message.data[2:]) for message in good_messages()]
+    path = make_mcap(tmp_path / "a.mcap", messages)
+    with pytest.raises(TraceError, match="JointState, they are written as PL_CDR2; set the middleware to write CDR"):
+        read_trace(path)
+    with pytest.raises(TraceError, match=r"coil_voltage none of 2 messages .* PL_CDR2.*; record while"):
+        draft_map(path, ValveParameters(), "valve-sim map")
 
 
 def test_bytes_after_a_joint_state_are_trimmed(tmp_path: Path) -> None:
@@ -650,6 +780,28 @@ def test_model_time_beside_wall_time_is_aligned(tmp_path: Path) -> None:
     assert any("two clocks" in finding for finding in read.findings)
     np.testing.assert_allclose(read.drive.times, trace.drive.times, atol=30e-6)
     assert read.clock == "header"
+
+
+@pytest.mark.parametrize("rate", [0.4, 3.0])
+def test_commands_are_moved_onto_the_clock_of_a_simulation(rate: float, tmp_path: Path) -> None:
+    """A simulation that is slower or faster than real time stamps by its own clock."""
+    truth, random = clean_trace(), np.random.default_rng(3)
+    messages = [
+        own._replace(time=EPOCH + round((own.time - EPOCH) / rate + random.exponential(20e3))) if own.topic == VOLTAGE
+        else own._replace(time=EPOCH + round((own.time - EPOCH) / rate))
+        for own in restamped(lambda _, true: 5 * 10**9 + true - EPOCH)
+    ]  # fmt: skip
+    trace = read_trace(make_mcap(tmp_path / "a.mcap", sorted(messages, key=lambda message: message.time)))
+    assert any(f"clock advances by {rate:g} s in a second of bag time" in finding for finding in trace.findings)
+    np.testing.assert_allclose(trace.drive.times - trace.drive.times[0], [0.0, 0.04], atol=100e-6 * rate)
+    np.testing.assert_allclose(np.diff(trace.times), np.diff(truth.times), atol=1e-9)
+
+
+def test_stamps_in_another_unit_give_way_to_bag_time(tmp_path: Path) -> None:
+    """Microseconds, filled in as nanoseconds."""
+    path = make_mcap(tmp_path / "a.mcap", restamped(lambda _, true: EPOCH + (true - EPOCH) // 1000))
+    check(path, "header stamps advance by 0.001 s in a second of recording", 1000)
+    assert read_trace(path).clock == "bag"
 
 
 def test_computers_whose_clocks_differ_are_named(tmp_path: Path) -> None:

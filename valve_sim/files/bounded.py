@@ -68,7 +68,8 @@ def table_text(path: Path, refusal: type[ValveError]) -> str:
     data = path.read_bytes()
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         return data.decode("utf-16", "replace")
-    for first, encoding in ((1, "utf-16-le"), (0, "utf-16-be")):
-        if 2 * data[first:400:2].count(0) > len(data[first:400:2]):
+    zeros = data[1:400:2].count(0), data[:400:2].count(0)
+    for own, other, encoding in ((*zeros, "utf-16-le"), (*zeros[::-1], "utf-16-be")):
+        if 2 * own > len(data[1:400:2]) and 2 * other < own:
             return data.decode(encoding, "replace")
     return data.decode("utf-8-sig", "as Latin-1")

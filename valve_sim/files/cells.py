@@ -18,22 +18,25 @@ SWITCHED: Final = {
 _MISSING: Final = frozenset(("", "n/a", "na", "null", "none", "invalid", "bad", "no data", "missing"))
 _SHEET_ERROR: Final = re.compile(r"#(n/a|nv|num!|div/0!|value!|wert!|ref!|name\?)")
 _NO_NUMBER: Final = re.compile(r"-+|[+-]?(nan|1\.#(qnan|snan|ind)0*)(\(\w*\))?")
-_BEYOND: Final = re.compile(r"[+-]?(∞|1\.#inf0*|over([ -]?(load|range|flow))?|ovl|ovf|ol)")
+_BEYOND: Final = re.compile(r"[+-]?(∞|1\.#inf0*|over([ -]?(load|range|flow))?|ovl|ovf|ol|\*{2,})")
 _FORTRAN: Final = re.compile(r"([+-]?[\d.]+)d([+-]?\d+)", re.IGNORECASE)
 _GROUPED: Final = re.compile(
     r"[+-]?\d{1,3}((,\d{3})+\.\d+|(\.\d{3})+,\d+|(,\d{3}){2,}|(\.\d{3}){2,}|(['\u2019\u00a0\u202f ]\d{3})+([.,]\d+)?)"
 )
 """Thousands that are parted, where no decimal point can be meant."""
 _QUANTITY: Final = re.compile(
-    r"([+-]?\d[\d.,]*(?:e[+-]?\d+)?)\s*([nµuμm]?(?:s|sec|seconds?|V|A)|[nµuμmc]?m|k?Hz|M?Pa|m?bar|°C|degC|m?N)",
+    r"([+-]?\d[\d.,]*(?:e[+-]?\d+)?)\s*([nµuμm]?(?:s|sec|seconds?|V|A)|[nµuμmc]?m|[kM]?Hz|M?Pa|m?bar|°C|degC|m?N)",
     re.IGNORECASE,
 )
 """A number with its unit, as MATLAB writes durations ("0.001 sec") and hand-held instruments their readings."""
 _DATE: Final = re.compile(r"(\d{4})([-/.]?)(\d\d?)\2(\d\d?)|(\d\d?)\.(\d\d?)\.(\d{4}|\d\d)")
 _TIME: Final = re.compile(
-    r"(\d\d?)(:?)(\d\d)(?:\2(\d\d(?:[.,]\d+|[:;]\d{3,9})?))?\s*(?:Z|UTC|GMT|[+-]\d\d:?\d\d|([ap])m)?", re.IGNORECASE
+    r"(\d\d?)(:?)(\d\d)(?:\2(\d\d(?:[.,]\d+|[:;]\d{3,9})?))?\s*(?:Z|UTC|GMT|([+-]\d\d):?(\d\d)|([ap])m)?", re.IGNORECASE
 )
-"""Hours, minutes, seconds, of which controllers part milliseconds by a colon or a semicolon, and a half of the day."""
+"""Hours, minutes, seconds, of which controllers part milliseconds by a colon or a semicolon, the zone's distance from
+UTC, and a half of the day."""
+_DAYS: Final = re.compile(r"(\d+)(?: days?,? |:(?=\d\d:\d\d:\d\d))")
+"""Before a time of day: of a duration, as pandas and Python write it, or the day of the year, as IRIG has it."""
 _MINUTES: Final = re.compile(r"(\d+):(\d\d[.,]\d+)")
 """As a spreadsheet writes the time of day where its hours are not shown."""
 _BETWEEN: Final = re.compile(r"(?<=\d)(?:[T ]\s*|,\s+)(?=\d)")
@@ -45,7 +48,10 @@ _NO_YEAR: Final = 1900
 
 
 class Stamp(NamedTuple):
-    """A day by its number, 0 for none; seconds since midnight; and the period, s, of a clock that starts again at 0."""
+    """A day by its number, 0 for none; seconds since midnight; and the period, s, of a clock that starts again at 0.
+
+    Where a zone is given, they are of UTC. Days of a duration or of a year are counted from 0.
+    """
 
     day: int
     seconds: float
@@ -89,12 +95,10 @@ def stamp_in(cell: str, form: str = "") -> Stamp | None:
         form: as `datetime.strptime` has it; empty: ISO 8601, German, or a time of day.
     """
     if form:
-        try:
-            found = datetime.strptime(_BEYOND_MICROSECONDS.sub("", cell), form)
-        except ValueError:
-            return None
-        day = found.toordinal() if found.year > _NO_YEAR else 0
-        return Stamp(day, HOUR * found.hour + 60.0 * found.minute + found.second + 1e-6 * found.microsecond)
+        return _stamp_by(cell, form)
+    if counted := _DAYS.match(cell):
+        rest = stamp_in(cell[counted.end() :])
+        return rest and Stamp(int(counted[1]), rest.seconds)
     parts = _BETWEEN.split(cell, maxsplit=1)
     dated, timed = _DATE.fullmatch(parts[0]), _TIME.fullmatch(parts[-1])
     if len(parts) == 1 and (minutes := _MINUTES.fullmatch(cell)):
@@ -113,9 +117,20 @@ def stamp_in(cell: str, form: str = "") -> Stamp | None:
         except ValueError:
             return None
     if timed is not None and (len(parts) == 2 or dated is None):
-        hours = int(timed[1]) if timed[5] is None else int(timed[1]) % 12 + 12 * (timed[5] in "pP")
+        hours = int(timed[1]) if timed[7] is None else int(timed[1]) % 12 + 12 * (timed[7] in "pP")
         seconds = HOUR * hours + 60.0 * int(timed[3]) + _seconds(timed[4] or "0")
+        if timed[5]:
+            seconds -= HOUR * int(timed[5]) + 60.0 * int(timed[5][0] + timed[6])
     return Stamp(day, seconds)
+
+
+def _stamp_by(cell: str, form: str) -> Stamp | None:
+    try:
+        found = datetime.strptime(_BEYOND_MICROSECONDS.sub("", cell), form)
+    except ValueError:
+        return None
+    day = found.toordinal() if found.year > _NO_YEAR else 0
+    return Stamp(day, HOUR * found.hour + 60.0 * found.minute + found.second + 1e-6 * found.microsecond)
 
 
 def _seconds(text: str) -> float:

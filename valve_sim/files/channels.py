@@ -32,12 +32,17 @@ _ALLOWED: Final[Mapping[str, tuple[str, ...]]] = {
     "pressure": ("Pa", "hPa", "mbar", "kPa", "bar", "MPa", "psi"),
     "force": ("N", "mN", "kN", "kgf", "lbf"),
     "temperature": ("degC", "°C", "K"),
-    "time": ("s", "ms", "us", "µs", "ns", "min", "h", "d"),
+    "time": ("s", "ms", "us", "µs", "100ns", "ns", "min", "h", "d"),
 }
 
 
 def _unit(name: str, dimension: str) -> Unit:
-    """A unit as a channel of this dimension has it: g is a mass elsewhere, and temperatures are in °C here."""
+    """A unit as a channel of this dimension has it: g is a mass elsewhere, and temperatures are in °C here.
+
+    Windows and controllers count time by 100 ns.
+    """
+    if name == "100ns":
+        return parse_unit("ns")._replace(factor=1e-7)
     unit = parse_unit("g0" if (name, dimension) == ("g", "acceleration") else name)
     return unit._replace(zero=unit.zero - CELSIUS) if dimension == "temperature" else unit
 

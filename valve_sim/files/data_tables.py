@@ -24,6 +24,19 @@ PARQUET_SUFFIXES: Final = (".parquet", ".pq")
 SHEET_SUFFIXES: Final = (".xlsx", ".xlsm")
 TABLE_SUFFIXES: Final = (*TEXT_SUFFIXES, *PARQUET_SUFFIXES, ".mat", *SHEET_SUFFIXES, ".tdms")
 
+_LEAST_ROWS: Final = 0.01
+"""Share of the rows of the longest vector that another one has, which is not of settings."""
+OTHER_KINDS: Final = {
+    b"PK\x03\x04": ("an Excel file or a zip archive", "name it .xlsx, or unpack it"),
+    b"\xd0\xcf\x11\xe0": ("an Excel file of before 2007", "save it as .xlsx"),
+    b"\x1f\x8b": ("packed by gzip", "unpack it"),
+    b"\x28\xb5\x2f\xfd": ("packed by zstd", "unpack it"),
+    b"PAR1": ("a Parquet file", "name it .parquet"),
+    b"MATLAB 5": ("a MATLAB file", "name it .mat"),
+    b"TDSm": ("a TDMS file", "name it .tdms"),
+}
+"""How files begin that are no text, what they are, and the mend."""
+
 
 def is_table(path: Path) -> bool:
     """Whether a path is that of a table, by its suffix."""
@@ -41,9 +54,20 @@ def open_table(path: Path) -> DataTable:
     openers |= {".mat": _open_mat, ".tdms": _open_tdms}
     try:
         check_file(path, LARGEST_TEXT, TableError)
+        if suffix not in openers:
+            _refuse_other_kinds(path)
         return openers.get(suffix, TextTable)(path)
     except OSError as error:
         raise TableError(f"{path}: cannot be read ({error.strerror or error}); give a file of a data logger") from error
+
+
+def _refuse_other_kinds(path: Path) -> None:
+    """Refuse what is no text, whatever its suffix says."""
+    with path.open("rb") as stream:
+        head = stream.read(8)
+    for mark, (what, mend) in OTHER_KINDS.items():
+        if head.startswith(mark):
+            raise TableError(f"{path}: is {what}, expected text; {mend}")
 
 
 def read_table(path: Path | str, columns: Mapping[str, Sequence[str]], otherwise: str = "") -> dict[str, Array]:
@@ -129,11 +153,17 @@ def _missing(path: Path, kind: str, package: str, extra: str) -> TableError:
 
 
 def _whole(path: Path, columns: Mapping[str, NDArray[Any]], units: Mapping[str, str] | None = None) -> DataTable:
-    """The columns that are as long as the longest: others are settings."""
+    """The columns, of which those that end before others have empty cells; much shorter ones are settings."""
     rows = max((len(values) for values in columns.values()), default=0)
     if rows < 2:
         raise TableError(f"{path}: holds no column of numbers; save the measured vectors by their names")
-    return _ArrayTable(path, {name: values for name, values in columns.items() if len(values) == rows}, units)
+    of_rows = {name: np.asarray(values) for name, values in columns.items() if _LEAST_ROWS * rows < len(values)}
+    return _ArrayTable(path, {name: _padded(values, rows) for name, values in of_rows.items()}, units)
+
+
+def _padded(values: NDArray[Any], rows: int) -> NDArray[Any]:
+    nothing = {"M": np.datetime64("NaT"), **dict.fromkeys("biuf", np.nan)}.get(values.dtype.kind)
+    return values if len(values) == rows else np.append(values, [nothing] * (rows - len(values)))
 
 
 def _open_parquet(path: Path) -> DataTable:
@@ -234,7 +264,7 @@ def _sheet_cell(value: object) -> str:
 
 
 def _open_tdms(path: Path) -> DataTable:
-    """Channels by their names, with their group where that tells them apart; time from the increment of a waveform."""
+    """Channels by their names, with their group where that tells them apart, behind the times of their waveforms."""
     try:
         import nptdms
     except ImportError as error:
@@ -245,18 +275,20 @@ def _open_tdms(path: Path) -> DataTable:
         check_expanded(path, 8.0 * sum(len(channel) for channel in channels), TableError)
         file = nptdms.TdmsFile.read(path)
         once = {channel.name for channel in channels if sum(own.name == channel.name for own in channels) == 1}
-        columns: dict[str, NDArray[Any]] = {}
+        clocks: dict[tuple[float, ...], dict[str, NDArray[Any]]] = {(): {}}
         units: dict[str, str] = {}
         for channel in (channel for group in file.groups() for channel in group.channels()):
             name = channel.name if channel.name in once else f"{channel.group_name}/{channel.name}"
-            columns[name] = np.asarray(channel[:])
             if unit := channel.properties.get("unit_string") or channel.properties.get("NI_UnitDescription"):
                 units[name] = str(unit)
-            if "time" not in once and float(channel.properties.get("wf_increment", 0.0)) > 0.0:
-                columns.setdefault("time", np.asarray(channel.time_track()))
-                units["time"] = "s"
+            every, start = (float(channel.properties.get(f"wf_{own}", 0.0)) for own in ("increment", "start_offset"))
+            key = (every, start, len(channel)) if every > 0.0 and "time" not in once else ()
+            if key not in clocks:
+                clock = "time" if len(clocks) == 1 else f"time_{len(clocks)}"
+                clocks[key], units[clock] = {clock: np.asarray(channel.time_track())}, "s"
+            clocks[key][name] = np.asarray(channel[:])
     except ValveError:
         raise
     except Exception as error:  # the library raises what it stumbles over
         raise TableError(f"{path}: is not a TDMS file ({' '.join(str(error).split())[:120]}); save it again") from error
-    return _whole(path, columns, units)
+    return _whole(path, {name: own for columns in clocks.values() for name, own in columns.items()}, units)

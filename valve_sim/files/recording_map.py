@@ -247,7 +247,7 @@ def time_axis(reader: Entries, found: object) -> TimeAxis:
 
 
 def _time_unit(reader: Entries, found: object) -> float:
-    unit = reader.unit("time.unit", found)
+    unit = UNITS["time"][found] if found == "100ns" else reader.unit("time.unit", found)
     if unit.dimension != UNITS["time"]["s"].dimension:
         raise reader.fail("time.unit", f"found {found!r}, expected one of {', '.join(UNITS['time'])}")
     return unit.factor

@@ -22,6 +22,9 @@ MOST_REPEATED: Final = 20
 _WHOLE: Final = re.compile(r"[+-]?\d+")
 _THOUSANDS: Final = re.compile(r"[+-]?[1-9]\d{0,2}((,\d{3})+|(\.\d{3})+)")
 """A number without a mark, and one whose mark may part thousands."""
+_LARGEST, _INFINITE, _NO_NUMBER = 9.8e37, 9.9e37, 9.91e37
+_EXACT: Final = 2.0**53
+"""Beyond it not every whole number is one of floating point."""
 _EPOCH_DAY: Final = 719_163
 _EXCEL_EPOCH: Final = 25_569
 """The number of 1970-01-01, in Python and in a spreadsheet."""
@@ -85,7 +88,7 @@ class DataTable:
         place = self._place(name)
         values = self._numbers(place)
         self._refuse_thousands(place, values)
-        return values
+        return _decoded(values)
 
     def _refuse_thousands(self, place: int, values: Array) -> None:
         """Refuse a column that may be of thousands: 998, 999, "1,000", "1,001", where all that have a mark could be."""
@@ -183,10 +186,21 @@ class DataTable:
         units = [self._unit(axis, number, self.names[place]) for number, place in enumerate(places)]
         parts = [self._numbers(place) for place in places]
         if len(parts) == 1:
+            if len(parts[0]) and parts[0].max() > _EXACT and (exact := self._whole_times(places[0], units[0])):
+                return exact
             is_calendar = units[0] == DAY and len(parts[0]) and EXCEL_DAYS[0] < parts[0][0] < EXCEL_DAYS[1]
             return units[0] * parts[0], -DAY * _EXCEL_EPOCH if is_calendar else 0.0
         origin = float(parts[0][0])
         return units[0] * (parts[0] - origin) + units[1] * parts[1], units[0] * origin
+
+    def _whole_times(self, place: int, unit: float) -> tuple[Array, float] | None:
+        """Times of a column of whole numbers that floating point rounds; None where they are none."""
+        cells = [cell or "" for cell in self._cells(place)]
+        if not all(map(_WHOLE.fullmatch, cells)):
+            return None
+        counts = [int(cell) for cell in cells]
+        origin, rest = divmod(counts[0], round(1.0 / unit))
+        return unit * np.array([count - counts[0] + rest for count in counts], dtype=np.float64), float(origin)
 
     def _unit(self, axis: TimeAxis, number: int, name: str) -> float:
         """The unit of a time column, s: as the map says, else s, and of a second one as its name says."""
@@ -226,7 +240,11 @@ class DataTable:
         return bool(axis.form) or any(kind_of(cell) == "date" for cell in cells)
 
     def _seconds(self, places: Sequence[int], axis: TimeAxis) -> tuple[Array, float]:
-        """Times of such columns: (n,) s, and since when."""
+        """Times of such columns: (n,) s, and since when; the second may hold parts of a second."""
+        part = self.names[places[1]] if len(places) > 1 else ""
+        if not axis.form and any(own.fullmatch(part) for own in PARTS.values()):
+            times, origin = self._seconds(places[:1], axis)
+            return times + self._unit(axis, 1, part) * self._numbers(places[1]), origin
         stamps = []
         for row, cells in enumerate(zip(*(self._cells(place) for place in places), strict=True)):
             stamp = None if None in cells else stamp_in(" ".join(cell for cell in cells if cell), axis.form)
@@ -249,6 +267,15 @@ class DataTable:
         raise NotImplementedError
 
 
+def _decoded(values: Array) -> Array:
+    """Numbers, (n,), with ∞ and NaN for what instruments write in their place by SCPI (1999, 7.2.1.4 and 5)."""
+    sizes = np.abs(values)
+    if not (sizes > _LARGEST).any():
+        return values
+    is_infinite, is_none = (np.isclose(sizes, code, rtol=1e-6) for code in (_INFINITE, _NO_NUMBER))
+    return np.where(is_infinite, np.copysign(np.inf, values), np.where(is_none, np.nan, values))
+
+
 def _since_the_first_day(stamps: Sequence[Stamp]) -> tuple[Array, float]:
     """(n,) s since midnight before the first stamp, and when that was, s since 1970; 0 where nothing says the day.
 
@@ -261,4 +288,4 @@ def _since_the_first_day(stamps: Sequence[Stamp]) -> tuple[Array, float]:
     if not first:
         period = stamps[0].period
         seconds[1:] += period * np.cumsum(np.diff(seconds) < -0.5 * period)
-    return seconds, DAY * (first - _EPOCH_DAY) if first else 0.0
+    return seconds, DAY * max(0, first - _EPOCH_DAY)

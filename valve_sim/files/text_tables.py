@@ -44,11 +44,13 @@ _GOES_ON: Final = 0.01
 _MOST_TRAILING: Final = 20
 """Lines without numbers behind the data that are left out: a summary, or a cut last row."""
 _INTERVAL: Final = re.compile(
-    r"(delta[_ ]?x|(x[_ ]?)?incr(ement)?|(sampl\w*|time)[_ ](interval|period|step)|abtastintervall)( ?[\[(]s\w*[\])])?",
+    r"(delta[_ ]?x|([xt][_ ]?)?inc(r(ement)?)?|hresolution|(sampl\w*|time)[_ ]?(interval|period|step)|sample[_ ]?time|"
+    r"abtastintervall)( ?[\[(][mµuμn]?s\w*[\])])?",
     re.IGNORECASE,
 )
-_RATE: Final = re.compile(r"(sampl\w*[_ ]?(rate|frequency)|abtastrate)( ?[\[(]hz[\])])?", re.IGNORECASE)
+_RATE: Final = re.compile(r"(sampl\w*[_ ]?(rate|frequency)|abtastrate)( ?[\[(][km]?hz[\])])?", re.IGNORECASE)
 """How a head calls the interval between rows, s, and their rate, Hz."""
+_HERTZ: Final = {"khz": 1e3, "mhz": 1e6}
 _NUMBERS: Final = re.compile(
     r"#|n|nr|no|index|idx|id|rows?|records?|samples?|points?|count(er)?|number|nummer|zeile", re.IGNORECASE
 )
@@ -57,6 +59,10 @@ _UNIT_WORDS: Final = frozenset(
     {unit for units in UNITS.values() for unit in units}
     | {"volt", "volts", "second", "seconds", "sec", "ampere", "amp", "amps", "ohm", "Ω", "N", "Hz", "%", "-"}
 )
+
+
+_LIKE_WORDS: Final = frozenset(("in", "h", "d", "g", "m", "min", "-"))
+"""Units that behind a name without brackets are something else: valve_in, mass_m, t_min."""
 
 
 class Layout(NamedTuple):
@@ -87,12 +93,18 @@ class TextTable(DataTable):
     """
 
     def __init__(self, path: Path, lines: Sequence[str] | None = None) -> None:
+        holes = unread = 0
         if lines is None:
-            lines = table_text(path, TableError).replace("\r\n", "\n").replace("\r", "\n").split("\n")
+            text = table_text(path, TableError).replace("\r\n", "\n").replace("\r", "\n")
+            holes, unread, lines = text.count("\0"), text.count("\ufffd"), text.replace("\0", "").split("\n")
         self._lines = _joined(lines)
         self._layout = _layout(path, self._lines)
         super().__init__(path, self._layout.names, self._layout.units, self._layout.others)
         self.findings = (self._layout.skipped,) if self._layout.skipped else ()
+        if unread:
+            self.findings += (f"unreadable characters: {unread}, for bytes of the file are missing",)
+        if holes:
+            self.findings += (f"{holes} zero bytes left out: a logger that loses power leaves them",)
         self._stop = self._end()
         self._rows = self._find_rows()
         self.interval = _stated_interval(
@@ -120,7 +132,7 @@ class TextTable(DataTable):
             if line[:1] not in _DIGITS:
                 if not line.strip(blank):
                     continue
-                if line.strip().startswith(_COMMENTS) or cells_of(line, self._layout.delimiter)[0] in head:
+                if _is_comment(line) or cells_of(line, self._layout.delimiter)[0] in head:
                     others.append(number)
                     continue
             found.append(number)
@@ -180,18 +192,22 @@ def _stated_interval(head: Rows) -> tuple[float, str]:
         cells = [part for cell in whole for part in re.split(r"[:=]\s+", cell)]  # "Sample rate: 10 kHz" in one cell
         for place, cell in enumerate(cells):
             for pattern, power in ((_INTERVAL, 1), (_RATE, -1)):
-                if not pattern.fullmatch(cell.strip(":=#%/! ")):
+                if not pattern.fullmatch(cell.strip(":=#%/!; ")):
                     continue
                 below = head[row + 1][place : place + 1] if row + 1 < len(head) and len(cells) == len(whole) else []
                 beside = (*cells[place + 1 : place + 3], "", "")
                 for text, after in (beside[:2], *((cell, "") for cell in below)):
-                    value, unit = quantity_in(text) or (number_in(text) or 0.0, after)
-                    factor = {"khz": 1e3}.get(
-                        unit.lower(), UNITS["time"][unit].factor if unit in UNITS["time"] else 1.0
-                    )
+                    value, unit = quantity_in(text.strip(":=")) or (number_in(text) or 0.0, after)
+                    unit = _plain(unit or _unit_in(cell)).lower()
+                    factor = _HERTZ.get(unit) or (UNITS["time"][unit].factor if unit in UNITS["time"] else 1.0)
                     if np.isfinite(value) and value > 0.0:
                         return (factor * value) ** power, cell
     return 0.0, ""
+
+
+def _plain(unit: str) -> str:
+    """A unit with the sign of micro that is not the Greek letter."""
+    return unit.replace("\u03bc", "\u00b5")
 
 
 def cells_of(line: str, delimiter: str | None) -> list[str]:
@@ -220,9 +236,11 @@ def _joined(lines: Sequence[str]) -> list[str]:
 
 
 def _layout(path: Path, lines: Sequence[str]) -> Layout:
-    ends = np.cumsum([len(line) for line in lines[: _LONGEST_PREAMBLE + _WHOLE_WITH_WORDS]])
-    head = lines[: max(_WHOLE_WITH_WORDS, int(np.searchsorted(ends, _LARGEST_PREAMBLE)))]
-    parted = {delimiter: [_checked(path, cells_of(line, delimiter)) for line in head] for delimiter in DELIMITERS}
+    head = _searched(lines)
+    parted = {
+        delimiter: [[] if _is_comment(line) else _checked(path, cells_of(line, delimiter)) for line in head]
+        for delimiter in DELIMITERS
+    }
     for with_words in (False, True):
         for delimiter, rows in parted.items():
             start = _first_row(head, rows, with_words=with_words)
@@ -235,9 +253,24 @@ def _layout(path: Path, lines: Sequence[str]) -> Layout:
     if not any(line.strip() for line in lines):
         raise TableError(f"{path}: is empty; export the measurement again")
     raise TableError(
-        f"{path}: no table of numbers in its first {min(len(lines), _LONGEST_PREAMBLE)} lines; "
-        "expected rows of at least two numbers, parted by ; , tabs, bars or blanks"
+        f"{path}: no table of numbers in its first {len(head)} lines; expected rows of at least two numbers, parted by "
+        f"; , tabs, bars or blanks, after at most {_LONGEST_PREAMBLE} lines that are no comments: cut off what is more"
     )
+
+
+def _searched(lines: Sequence[str]) -> Sequence[str]:
+    """The lines in which the first rows of numbers must be: so many, and so many characters, without comments."""
+    left, size = _LONGEST_PREAMBLE + _WHOLE_WITH_WORDS, _LARGEST_PREAMBLE
+    for number, line in enumerate(lines):
+        if not _is_comment(line):
+            left, size = left - 1, size - len(line)
+        if left < 0 or (size < 0 and number >= _WHOLE_WITH_WORDS):
+            return lines[:number]
+    return lines
+
+
+def _is_comment(line: str) -> bool:
+    return line.lstrip().startswith(_COMMENTS)
 
 
 def _checked(path: Path, cells: list[str]) -> list[str]:
@@ -251,11 +284,9 @@ def _checked(path: Path, cells: list[str]) -> list[str]:
 def _first_row(lines: Sequence[str], rows: Rows, *, with_words: bool) -> int | None:
     """Where rows begin whose columns are of the same kinds, at least two of them numbers or dates."""
     filled = [n for n, line in enumerate(lines) if line.strip()]
-    kinds = {
-        n: ["comment"] if lines[n].lstrip().startswith(_COMMENTS) else [kind_of(c) for c in rows[n]] for n in filled
-    }
+    kinds = {n: [kind_of(c) for c in rows[n]] for n in filled}
     for at, start in enumerate(filled):
-        if start >= _LONGEST_PREAMBLE or len(kinds[start]) < 2:
+        if len(kinds[start]) < 2:
             continue
         run = [kinds[n] for n in filled[at : at + _WHOLE_WITH_WORDS]]
         run = run if with_words else run[:_WHOLE]
@@ -279,10 +310,14 @@ def _named(path: Path, lines: Sequence[str], delimiter: str | None, rows: Rows, 
         width -= 1  # each line ends with a separator
     numbers = [place for place in range(width) if any(place < len(row) and row[place] for row in data)]
     are_units = [row for row in head if _are_units(row)]
-    if not any(_named_by(row, numbers) >= _NAMED for row in head if row not in are_units):
+    naming = [row for row in head if row not in are_units and _named_by(row, numbers) >= _NAMED]
+    named = {place for row in naming for place in numbers if row[place]}
+    if not any({place for place in numbers if row[place]} <= named for row in are_units):
         are_units = []  # volt, sec: they are the names
     units = max(are_units, key=lambda row: len(set(row)), default=None)
-    above = None if units is None else next((row for row in head[head.index(units) + 1 :]), None)
+    above = None if units is None else next(iter(head[head.index(units) + 1 :]), None)
+    if units is not None and above is not None and not all(above[place] for place in numbers if units[place]):
+        above = None
     scores = [
         (_named_by(row, numbers) + 0.5 * (row is above) - 0.01 * place, row)
         for place, row in enumerate(head)
@@ -302,13 +337,18 @@ def _named(path: Path, lines: Sequence[str], delimiter: str | None, rows: Rows, 
             f"{path}: line {start + 1} has {width} whole numbers for {width // 2} names: commas part its cells and "
             "are decimal points, too; export it with semicolons, or with points"
         )
-    names = _unique(chosen[:width])
+    # Cells of a spreadsheet may span two lines of the head.
+    place = head.index(chosen)
+    spanned = [
+        chosen,
+        *(row for row in (*head[max(0, place - 1) : place], *head[place + 1 : place + 2]) if row in naming),
+    ]
+    names = _unique([next(filter(None, cells), "") for cells in zip(*spanned, strict=True)][:width])
     beside = {name: own[1] for name, cell in zip(names, data[0], strict=False) if (own := quantity_in(cell))}
     found = beside if units is None else {name: _bare(cell) for name, cell in zip(names, units, strict=False)}
     for name in names:
-        inside = re.search(r"[\[(]([^\])]+)[\])]\s*$", name)
-        if inside:
-            found.setdefault(name, inside[1].strip())
+        if unit := _unit_in(name):
+            found.setdefault(name, unit)
     words = Counter(cell for _, row in scores for cell in set(row) if cell)
     others = {
         cell: place
@@ -319,7 +359,7 @@ def _named(path: Path, lines: Sequence[str], delimiter: str | None, rows: Rows, 
     begin = first
     while begin and _is_of_numbers(rows[begin - 1]) and rows[begin - 1][:width] != chosen[:width]:
         begin -= 1
-    stated = {name: unit for name, unit in found.items() if unit}
+    stated = {name: _plain(unit) for name, unit in found.items() if unit}
     return Layout(delimiter, first, tuple(names), stated, others, _skipped(lines, begin, first))
 
 
@@ -342,7 +382,7 @@ def _begin(lines: Sequence[str], rows: Rows, start: int, data: Rows) -> tuple[in
     whole = begin = start
     for number in range(start - 1, -1, -1):
         row = rows[number]
-        if not lines[number].strip() or lines[number].lstrip().startswith(_COMMENTS) or len(row) != len(data[0]):
+        if len(row) != len(data[0]) or not any(row):
             break
         alike = [place for place in known if kind_of(row[place]) in kinds[place]]
         beside = any(row[place] for place, own in enumerate(kinds) if not own)
@@ -408,6 +448,15 @@ def _are_units(cells: Sequence[str]) -> bool:
 
 def _bare(cell: str) -> str:
     return "" if kind_of(cell) != "word" else cell.strip().strip("[]()").strip()
+
+
+def _unit_in(name: str) -> str:
+    """The unit that a name ends with: in brackets, or behind a mark; empty where there is none."""
+    if inside := re.search(r"[\[(]([^\])]+)[\])]\s*$", name):
+        return inside[1].strip()
+    behind = re.search(r"(?: in |\s?/\s?|,\s?|_)([^\s/,_]+)$", name)
+    unit = _plain(behind[1]) if behind else ""
+    return unit if unit in _UNIT_WORDS and unit not in _LIKE_WORDS else ""
 
 
 def _unique(names: Sequence[str]) -> list[str]:

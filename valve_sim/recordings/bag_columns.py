@@ -9,7 +9,7 @@ import numpy as np
 from valve_sim.files.channels import MAIN
 from valve_sim.files.recording_map import Source
 from valve_sim.model.drives import Drive
-from valve_sim.recordings.clocks import SECOND, clock_offset, order_samples
+from valve_sim.recordings.clocks import SECOND, clock_offset, clock_rate, order_samples
 from valve_sim.recordings.command_times import Commands, commands_by_logs
 from valve_sim.recordings.layout import POSITIONS, valves_among
 from valve_sim.recordings.open_recording import Readings
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
+MOST_RATE: Final = 100.0
+"""So many times faster or slower than a recorder's no clock of a simulation runs."""
 MOST_REPEATED: Final = 0.05
 """Share of samples that may have another sample's stamp; beyond it nobody can say which is right."""
 
@@ -44,6 +46,8 @@ class BagColumns:
         self.epoch_ns = 0
         self._late = 0
         """What to take from bag times to get the samples' clock, ns."""
+        self._rate, self._recorded_at = 1.0, np.empty(0, dtype=np.int64)
+        """What the samples' clock advances in a second of bag time, and when each sample was recorded, ns."""
         self._samples = np.empty(0, dtype=np.int64)
         self._reported: set[str] = set()
 
@@ -94,7 +98,17 @@ class BagColumns:
     def _times(self, key: str, source: Source) -> NDArray[np.int64]:
         """When each message was taken by the samples' clock, ns, shape (n,)."""
         taken, _, is_stamped = self._stamps(key, source)
-        return np.where(is_stamped, taken, taken - self._late) if self._late else taken
+        return np.where(is_stamped, taken, self._by_samples(taken)) if self._late or self._rate != 1.0 else taken
+
+    def _by_samples(self, times: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Bag times by the samples' clock, ns, shape (n,)."""
+        if self._rate == 1.0:
+            return times - self._late
+        first, start = self._recorded_at.min(), self._samples[0]
+        order = np.argsort(self._recorded_at, kind="stable")
+        seen = self._recorded_at[order] - first
+        beside = np.interp(times - first, seen, self._samples[order] - start - self._rate * seen)
+        return np.asarray(start + np.rint(self._rate * (times - first) + beside), dtype=np.int64)
 
     def _since(self, times: NDArray[np.int64]) -> Array:
         return np.asarray((times - self.epoch_ns) / SECOND, dtype=np.float64)
@@ -109,6 +123,13 @@ class BagColumns:
         elif len(taken) > 1 and (taken == taken[0]).all():
             self.findings.append(f"{source.topic}: all header stamps are the same: samples are timed by bag time")
             self.clock, taken, delays = "bag", taken + delays, np.zeros_like(taken)
+        self._rate = clock_rate(delays, taken + delays)
+        if not 1.0 / MOST_RATE < self._rate < MOST_RATE:
+            self.findings.append(
+                f"{source.topic}: header stamps advance by {self._rate:.3g} s in a second of recording, as if in "
+                "another unit: samples are timed by bag time"
+            )
+            self.clock, self._rate, taken, delays = "bag", 1.0, taken + delays, np.zeros_like(taken)
         order = order_samples(taken, delays, columns, source.topic)
         self.findings += order.findings
         if order.places is not None:
@@ -122,16 +143,25 @@ class BagColumns:
             self._check_repeated(source.topic, int((~fresh).sum()), len(fresh))
             places = places[fresh]
             taken, delays, columns = taken[places], delays[places], [column[places] for column in columns]
+        self.epoch_ns, self._samples, self._recorded_at = int(taken[0]), taken, taken + delays
+        if self._rate != 1.0:
+            self.findings.append(
+                f"{source.topic}: the stamps' clock advances by {self._rate:.3g} s in a second of bag time, as that of "
+                "a simulation: commands and other messages without a header were moved onto it, good to the transport "
+                "delay only"
+            )
+            return columns
         offset, findings = clock_offset(delays + order.shift if order.shift else delays, source.topic)
         self.findings += findings
-        self._late, self.epoch_ns, self._samples = offset - order.shift, int(taken[0]), taken
+        self._late = offset - order.shift
         return columns
 
     def _check_repeated(self, topic: str, repeated: int, count: int) -> None:
         if repeated > MOST_REPEATED * count:
             raise TraceError(
                 f"{self.path}: topic {topic}: {repeated} of {count} samples have the stamp of another sample but "
-                "another value; two publishers, a clock set back or coarse stamps; record one, finely stamped"
+                "another value; two publishers, a clock set back or coarse stamps; record one, finely stamped, or "
+                "give clock: bag in a map"
             )
         if repeated:
             words = f"dropped {repeated} of {count} samples that differ from another sample of the same stamp"
@@ -170,6 +200,11 @@ class BagColumns:
             )
         order = np.flatnonzero(finite)[np.argsort(times[finite], kind="stable")]
         found = Commands(times[order], volts[order])
+        if len(order) > 1 and found.times[0] == found.times[-1] and np.ptp(found.volts) > 0.0:
+            raise TraceError(
+                f"{self.path}: topic {source.topic}: all {len(order)} commands have one time, expected that of each; "
+                "record them again, or record the coil's voltage with a stamp"
+            )
         found = self._sent(source, found, logs) if logs else found
         last = np.diff(found.times, append=found.times[-1] + 1) > 0
         if not last.all():
@@ -186,7 +221,9 @@ class BagColumns:
             stamps, volts = stamps[is_stamped], messages.values(Source(topic, "voltage"))[0][is_stamped]
             order = np.argsort(stamps, kind="stable")
             # The node's clock is the samples' clock, or the recorder's.
-            logs += [Commands(stamps[order] - late, volts[order]) for late in {0, self._late}]
+            logs.append(Commands(stamps[order], volts[order]))
+            if self._late or self._rate != 1.0:
+                logs.append(Commands(self._by_samples(stamps[order]), volts[order]))
         found = commands_by_logs(recorded, logs)
         if found is None and len(valves_among(self._recording.types)) == 1:
             self.findings.append(f"{source.topic}: timed as recorded, for {', '.join(topics)} logs other commands")

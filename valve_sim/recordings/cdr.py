@@ -1,12 +1,14 @@
-"""The layout of ROS 2 messages (CDR): where in the bytes of a message each of its numbers is, by its type's definition.
+"""The layout of ROS 2 messages: where in the bytes of a message each of its numbers is, by its type's definition.
 
 Messages of one topic mostly share one layout: the same lengths and names, with different numbers. So one message is
 parsed, and the numbers of all that have the same bytes for lengths and names are read, or written, as columns.
+They are written as CDR, of its first or second version (OMG DDS-XTypes 1.3, 7.4).
 """
 
 from __future__ import annotations
 
 import functools
+import re
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -22,7 +24,12 @@ if TYPE_CHECKING:
     Definitions = Mapping[str, tuple[Any, Any]]
 
 ENCAPSULATION_SIZE = 4
-"""Bytes before the message: representation (big or little endian CDR) and options."""
+"""Bytes before the message: representation (of `READABLE`, odd ones little endian) and options."""
+PLAIN, PLAIN_2, DELIMITED_2 = 0, 6, 8
+"""CDR; of its second version that of final types; that of types that may grow, each with its size before it."""
+READABLE = (PLAIN, PLAIN_2, DELIMITED_2)
+UNREADABLE = {2: "PL_CDR", 4: "XML", 10: "PL_CDR2"}
+"""Representations in which each field has its number before it, or that are a text."""
 
 MOST_STEPS = 100_000
 """Messages in one message: arrays of arrays of empty ones may be any number."""
@@ -51,7 +58,9 @@ def typestore() -> Typestore:
 
 
 def full_type(message_type: str) -> str:
-    """Return the type with its "msg" part, which some recorders leave out."""
+    """Return the type as ROS has it: some recorders leave "msg" out, others write it as the middleware has it."""
+    if of_middleware := re.fullmatch(r"(\w+)::msg::dds_::(\w+)_", message_type):
+        return f"{of_middleware[1]}/msg/{of_middleware[2]}"
     package, _, name = message_type.rpartition("/")
     return message_type if "/" in package else f"{package}/msg/{name}"
 
@@ -84,15 +93,22 @@ class MalformedMessage(Exception):  # noqa: N818 -- internal: it is counted, not
     """These bytes are not a message of this type."""
 
 
+def representation(payload: bytes) -> int:
+    """How a message is written, by its first bytes, the even number of both orders of bytes; −1: not as one."""
+    return payload[1] & ~1 if len(payload) >= ENCAPSULATION_SIZE and payload[0] == 0 else -1
+
+
 class _Walker:
     """Parses one message by the definition of its type and notes where each field is."""
 
     def __init__(self, payload: bytes, definitions: Definitions) -> None:
-        if len(payload) < ENCAPSULATION_SIZE or payload[0] != 0 or payload[1] not in {0, 1}:
+        self.form = representation(payload)
+        if self.form not in READABLE:
             raise MalformedMessage
         self.payload = payload
         self.definitions = definitions
-        self.order = "<" if payload[1] else ">"
+        self.order = "<" if payload[1] & 1 else ">"
+        self.widest = 8 if self.form == PLAIN else 4
         self.position = ENCAPSULATION_SIZE
         self.steps = 0
         self.fields: dict[str, Field] = {}
@@ -105,6 +121,8 @@ class _Walker:
         self.steps += 1
         if message_type not in self.definitions or self.steps > MOST_STEPS:
             raise MalformedMessage
+        if self.form == DELIMITED_2:
+            self.length()
         for name, (kind, detail) in self.definitions[message_type][1]:
             path = prefix + name
             if kind == Nodetype.NAME:
@@ -113,6 +131,8 @@ class _Walker:
                 self.take(path, detail[0], count=1, listed=False)
             else:
                 (inner, what), length = detail
+                if self.form != PLAIN and (inner != Nodetype.BASE or what[0] == "string"):
+                    self.length()  # of all of them, in bytes
                 count = self.length() if kind == Nodetype.SEQUENCE else length
                 if inner == Nodetype.BASE:
                     self.take(path, what[0], count, listed=True)
@@ -131,6 +151,8 @@ class _Walker:
         if base == "string":
             self.texts[path] = tuple(self.text(fixed=listed) for _ in range(count))
             return
+        if base not in _BASE_TYPES:  # wstring, float128: each middleware writes them in another way
+            raise MalformedMessage
         dtype = np.dtype(self.order + _BASE_TYPES[base])
         if count:
             self.align(dtype.itemsize)
@@ -159,7 +181,7 @@ class _Walker:
 
     def align(self, size: int) -> None:
         """Advance to the next multiple of `size`, counted from the end of the encapsulation."""
-        self.position += -(self.position - ENCAPSULATION_SIZE) % size
+        self.position += -(self.position - ENCAPSULATION_SIZE) % min(size, self.widest)
 
     def advance(self, size: int) -> None:
         """Advance, but never beyond the end of the message."""
@@ -175,7 +197,7 @@ def find_layout(payload: bytes, message_type: str, definitions: Definitions | No
     """Parse one message.
 
     Raises:
-        MalformedMessage: The bytes end too early, or are no plain CDR.
+        MalformedMessage: The bytes end too early, or are of no representation in `READABLE`.
     """
     walker = _Walker(payload, typestore().fielddefs if definitions is None else definitions)
     walker.walk(message_type)

@@ -35,6 +35,11 @@ JUMP_RUN = 20
 FORWARD_JUMP = SECOND // 10
 """A step of the stamps that exceeds the step of bag time by so much, and stays so, means that the clock was set."""
 
+MOST_DRIFT, SMALLEST_DRIFT, NOT_STEADY = 0.02, SECOND // 50, 0.15
+"""Clocks of one rate differ by a smaller share of the time, or by fewer ns; so far from a line nothing is steady."""
+ENOUGH = 2000
+"""Samples that tell the rate of a clock."""
+
 GAP_FACTOR = 3.0
 """An interval so many times the usual one is a gap."""
 
@@ -220,9 +225,31 @@ def clock_offset(delays: Delays, topic: str) -> tuple[int, tuple[str, ...]]:
     if abs(delay) > LONG_DELAY:
         return 0, (
             f"{topic}: bag times are {delay / SECOND:.3f} s from the stamps (median) and were taken as the same clock; "
-            "if the computers' clocks differ, commands and samples do not belong together",
+            "if the computers' clocks differ, commands and samples do not belong together: give clock: bag in a map",
         )
     return 0, ()
+
+
+def clock_rate(delays: Delays, recorded: Stamps) -> float:
+    """How far the stamps' clock advances in a second of bag time; 1 unless it steadily gains or loses.
+
+    The clock of a simulation that is slower than real time does; a recorder that stalls makes no steady change.
+
+    Args:
+        delays: What bag times are after the stamps, ns, shape (n,). recorded: Bag times, ns, shape (n,).
+    """
+    if len(delays) < 5 * JUMP_RUN:
+        return 1.0
+    thinned = slice(None, None, max(1, len(delays) // ENOUGH))
+    times = np.array([np.median(part) for part in np.array_split(recorded[thinned] - recorded[0], 5)])
+    parts = np.array_split(delays[thinned] - delays[0], 5)
+    low, late, high = np.transpose([np.quantile(part, [0.1, 0.5, 0.9]) for part in parts])
+    change, span = late[-1] - late[0], times[-1] - times[0]
+    if not abs(change) > max(SMALLEST_DRIFT, MOST_DRIFT * span):
+        return 1.0
+    off = np.abs(late - np.interp(times, times[::4], late[::4])).max()
+    is_steady = off < NOT_STEADY * abs(change) and (high - low).max() < 2.0 * abs(change) / len(parts)
+    return float(1.0 - change / span) if is_steady else 1.0
 
 
 def find_gaps(times: NDArray[np.float64], factor: float = GAP_FACTOR) -> NDArray[np.intp]:

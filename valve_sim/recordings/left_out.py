@@ -178,6 +178,8 @@ def _too_fast(times: Array, positions: Array) -> Mask:
     """(n,) readings between a jump that no plunger makes and the one back; of neighbours the shorter."""
     found, changes = np.zeros(len(positions), dtype=bool), np.diff(positions)
     jumps = np.flatnonzero(np.abs(changes) > FASTEST * np.diff(times))
+    if len(jumps) < 2:
+        return found
     into, out = changes[jumps[:-1]], changes[jumps[1:]]
     comes_back = np.abs(into + out) < 0.5 * np.minimum(np.abs(into), np.abs(out))
     taken, middle = np.zeros(len(jumps) + 1, dtype=bool), float(np.median(positions))

@@ -4,25 +4,27 @@ from __future__ import annotations
 
 import itertools
 import re
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import yaml
 
+from valve_sim.files.cells import kind_of
 from valve_sim.files.channels import CHANNELS, SIGNALS, UNITS
 from valve_sim.files.data_tables import is_table, open_table
 from valve_sim.files.entries import Entries
 from valve_sim.files.recording_map import MapError, TimeAxis, map_from, time_axis
 from valve_sim.files.tables import EXCEL_DAYS, MOST_REPEATED, PARTS, DataTable, TableError
 from valve_sim.model.errors import ValveError
-from valve_sim.recordings.map_series import Series, bag_series, table_series
+from valve_sim.recordings.map_series import MOST_LEVELS, Series, bag_series, table_series
 from valve_sim.recordings.reading import read_trace
 from valve_sim.recordings.trace import TraceError
 from valve_sim.recordings.trouble import MOST_AMPERES
 from valve_sim.recordings.voltage_steps import count_levels
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -38,13 +40,17 @@ BESIDE = [key for key in HINTS if key in SIGNALS and key != "voltage"]
 PLAIN = re.compile(r"(?:time|t|zeit|uhrzeit|timestamp|sec|seconds|elapsed).*", re.IGNORECASE)
 FEW_MESSAGES = 0.2
 """A topic with less than this share of the messages of another is a command: sent when it changes."""
-MOST_LEVELS = 12
-"""A voltage rests at so few levels at most."""
 RESTS = 0.6
 """Share of a position's samples that are at either end, or more."""
+ALIKE = 0.15
+"""What is off by a smaller share of the declared stroke travels as far."""
+UNLIKE = 4.0
+"""A travel of so many strokes, or of so small a part of one, is not of this unit."""
 MOST_LISTED = 40
 WHOLE = re.compile(r"date|datum|day|tag|(.*[^a-z])?(s|sec|secs|seconds)", re.IGNORECASE)
 """Names of a column with days, or whole seconds, whose fractions are in the next one."""
+TICKS, TICKS_NOW = "100ns", (1e17, 7e17)
+"""As Windows counts since 1601, and .NET since year 1; nanoseconds since 1970 are more, and microseconds less."""
 FORMS = tuple(
     f"{day} {clock}"
     for clock in ("%H:%M:%S.%f", "%H:%M:%S:%f", "%H:%M:%S,%f", "%I:%M:%S.%f %p")
@@ -91,10 +97,11 @@ def draft_map(path: Path, parameters: ValveParameters, command: str) -> str:
         time, series, troubles = _time_line(table)
         lines += time
     else:
-        series, troubles = bag_series(path), {}
+        series, troubles = bag_series(path)
     moving = [entry for entry in series if entry.span > 0.0 or _is_one_command(entry)]
     if not moving:
-        names = ", ".join(entry.name for entry in series[:12]) or "no number at all"
+        unread = [f"{name} {words}" for name, words in troubles.items()]
+        names = ", ".join([*(entry.name for entry in series), *unread][:12]) or "no number at all"
         raise TraceError(f"{path}: nothing in it moves ({names}); record while the valve works")
     moving = [entry for entry in moving if not _counts(entry) or re.search(HINTS["position"], entry.words)] or moving
     used: set[str] = set()
@@ -104,7 +111,10 @@ def draft_map(path: Path, parameters: ValveParameters, command: str) -> str:
             lines += [*(["valves:"] if "valves:" not in lines else []), f"  {valve}:"]
             indent = "    "
         lines += [indent + line for guess in guesses for line in guess.lines]
-        lines += [f"{indent}# CHECK: {words}" for words in _missing(guesses)]
+        found = {guess.quantity for guess in guesses}
+        if "position" not in found:
+            alone = "; without one the current alone is gone by" if "current" in found else ""
+            lines.append(f"{indent}# CHECK: no position found; add position: {{...}}{alone}")
         used |= {guess.series.name for guess in guesses}
     left = {**{entry.name: _range(entry) for entry in series if entry.name not in used}, **troubles}
     lines += [f"# not used: {name}, {words}" for name, words in itertools.islice(left.items(), MOST_LISTED)]
@@ -143,15 +153,6 @@ def _range(entry: Series) -> str:
     return f"{reads}, hardly changes: a temperature or a pressure" if entry.span < 0.1 * abs(entry.low) else reads
 
 
-def _missing(guesses: Sequence[Guess]) -> list[str]:
-    found = {guess.quantity for guess in guesses}
-    words = []
-    if "position" not in found:
-        alone = "; without one the current alone is gone by" if "current" in found else ""
-        words.append(f"no position found; add position: {{...}}{alone}")
-    return words if found & {"command", "voltage"} else [*words, "no voltage found; add command: or voltage: {...}"]
-
-
 def _valves(series: Sequence[Series], parameters: ValveParameters) -> dict[str, list[Guess]]:
     """Guesses by valve; one valve without a name unless numbers in the names tell several apart."""
     lifts = [entry for entry in series if re.search(HINTS["position"], entry.words)]
@@ -177,7 +178,7 @@ def _guesses(series: Sequence[Series], parameters: ValveParameters) -> list[Gues
         rest.remove(voltage)
     # A laser's voltage is called one, too.
     others = [entry for entry in rest if not _is_voltage(entry)] or [own for own in rest if own.rest_share > RESTS]
-    position = _best(others, _position_score)
+    position = _best(others, partial(_position_score, stroke=parameters.stroke))
     if position is not None:
         rest.remove(position)
     if voltage is not None:
@@ -233,7 +234,7 @@ def _names(entry: Series, quantity: str) -> bool:
     """Whether its words say that it is this quantity, or its unit where its words say no other."""
     if re.search(HINTS[quantity], entry.words):
         return True
-    if any(re.search(HINTS[other], entry.words) for other in BESIDE):
+    if any(re.search(HINTS[other], entry.words) for other in (*BESIDE, "position")):
         return False
     return entry.unit in UNITS[CHANNELS[quantity].dimension] and entry.unit not in ("g", "m")
 
@@ -247,11 +248,28 @@ def _voltage_score(entry: Series) -> float:
     return 2.0 * named + is_switched + (0.5 * entry.sharpness if is_switched else 0.0) - 2.0 * (other and not named)
 
 
-def _position_score(entry: Series) -> float:
-    """How much a series looks like a plunger between two stops."""
+def _position_score(entry: Series, stroke: float) -> float:
+    """How much a series looks like a plunger between two stops that are so far apart, m."""
     other = any(_names(entry, quantity) for quantity in BESIDE)
+    unit = UNITS["length"][_length_unit(entry, stroke)]
+    is_as_far = abs(np.log(unit.factor * entry.span / stroke)) < ALIKE if entry.span else False
     return (
-        2.0 * _names(entry, "position") + entry.rest_share - 2.0 * other + 0.1 * entry.is_first_choice - _is_main(entry)
+        2.0 * _names(entry, "position")
+        + entry.rest_share
+        - 2.0 * other
+        + 0.1 * entry.is_first_choice
+        + 0.3 * is_as_far
+        - _is_main(entry)
+    )
+
+
+def _length_unit(entry: Series, stroke: float) -> str:
+    """The unit that its file states, or in which it travels about as far as a stroke, m."""
+    units = UNITS["length"]
+    if entry.unit in units:
+        return entry.unit
+    return min(
+        ("m", "mm", "um", "nm"), key=lambda name: abs(np.log(units[name].factor * max(entry.span, 1e-300) / stroke))
     )
 
 
@@ -298,14 +316,14 @@ def _position_guess(quantity: str, entry: Series, parameters: ValveParameters) -
     reasons = [f"reads {entry.low:.6g} to {entry.high:.6g}, at rest {entry.at_rest:.6g}"]
     settings: dict[str, object] = {}
     units = UNITS["length"]
+    unit = _length_unit(entry, parameters.stroke)
     if entry.unit in units:
-        unit = entry.unit
         reasons.append("unit as the file says")
     else:
-        unit = min(
-            ("m", "mm", "um", "nm"), key=lambda name: abs(np.log(units[name].factor * entry.span / parameters.stroke))
-        )
         reasons.append(f"CHECK unit: travels {entry.span:.4g}, the declared stroke is {parameters.stroke:.4g} m")
+        ratio = parameters.stroke / (units[unit].factor * entry.span)
+        if not 1.0 / UNLIKE < ratio < UNLIKE:
+            reasons.append(f"CHECK scale: of a sensor in % or in V? Then scale: {ratio:.4g}")
     settings["unit"] = unit
     sign = -1 if entry.at_rest - entry.low > entry.high - entry.at_rest else 1
     if sign < 0:
@@ -343,7 +361,7 @@ def _time_line(table: DataTable) -> tuple[list[str], list[Series], dict[str, str
             troubles[name] = (
                 str(error).removeprefix(f"{table.path}: ").partition(";")[0].replace(f"column {name}: ", "")
             )
-    parts = [pair for pair in itertools.pairwise(table.names) if _is_part(columns, *pair)]
+    parts = [pair for pair in itertools.pairwise(table.names) if _is_part(table, columns, *pair)]
     with np.errstate(invalid="ignore"):  # of readings beyond the range
         steps_of = {name: np.diff(_begun(values)) for name, values in columns.items() if len(values) > 1}
     dating = {name: steps for name, steps in steps_of.items() if _dates(name, steps)}
@@ -357,9 +375,8 @@ def _time_line(table: DataTable) -> tuple[list[str], list[Series], dict[str, str
         entry, reason = {"rate": float(f"{1.0 / table.interval[0]:.9g}")}, f"CHECK: by {table.interval[1]} in its head"
     if entry is None:
         _refuse_one_value_a_row(table, troubles)
-        coarse = next((name for name in dating if PLAIN.fullmatch(name)), None)
-        why = "no column ascends" if coarse is None else f"column {coarse} repeats: it has too few digits"
-        why = next((f"column {name}: {words}" for name, words in troubles.items() if PLAIN.fullmatch(name)), why)
+        coarse = next((name for name in dating if PLAIN.fullmatch(name)), "")
+        why = f"column {coarse} repeats: it has too few digits" if coarse else _without_times(table, troubles)
         raise TraceError(
             f"{table.path}: {why}, and nothing else says when its rows were taken; write a map by hand with "
             "time: {rate: ...} (rows a second), or export the times"
@@ -389,6 +406,31 @@ def _time_line(table: DataTable) -> tuple[list[str], list[Series], dict[str, str
         f"# CHECK: {name} is another column of times, and is taken for that of the columns after it" for name in clocks
     ]
     return lines, series, {name: words for name, words in troubles.items() if name not in axis.columns}
+
+
+def _without_times(table: DataTable, troubles: Mapping[str, str]) -> str:
+    """Why no column says when the rows were taken: that whose name says that it does, or else the first broken one."""
+    for name in table.names:
+        says_so = PLAIN.fullmatch(name) or any(part.fullmatch(name) for part in PARTS.values())
+        if not says_so and table.units.get(name) not in UNITS["time"]:
+            continue
+        errors = [words for _, words in _tried(table, name)]
+        if all(errors):
+            # Of dates that one of the forms fits, it is their times that are wrong.
+            why = next((words for words in errors if ": found " not in words), errors[0])
+            return why.removeprefix(f"{table.path}: ").partition(";")[0]
+    return next((f"column {name}: {words}" for name, words in troubles.items()), "no column ascends")
+
+
+def _tried(table: DataTable, name: str) -> Iterator[tuple[str, str]]:
+    """Forms of dates, the first empty: numbers and dates that are known; and why a column holds no such times."""
+    for form in ("", *FORMS):
+        try:
+            table.row_times(TimeAxis((name,), form=form))
+        except TableError as error:
+            yield form, str(error)
+        else:
+            yield form, ""
 
 
 def _begun(values: Array) -> Array:
@@ -427,18 +469,20 @@ def _refuse_one_value_a_row(table: DataTable, names: Iterable[str]) -> None:
     """Refuse a table in which a column of few words says what each row has a value of, as archives of a PLC do."""
     for name in names:
         words = list(dict.fromkeys(table.texts(name)))
-        if 1 < len(words) <= MOST_LEVELS < table.rows:
+        if 1 < len(words) <= MOST_LEVELS < table.rows and all(kind_of(word) in ("word", "") for word in words):
             raise TraceError(
                 f"{table.path}: each row has the value of one quantity, which column {name} names "
                 f"({', '.join(words[:4])}); export a column for each"
             )
 
 
-def _is_part(columns: Mapping[str, Array], first: str, second: str) -> bool:
+def _is_part(table: DataTable, columns: Mapping[str, Array], first: str, second: str) -> bool:
     """Whether two columns hold one time: a day and a time of day, or seconds and their fractions."""
     if first.isdigit():  # without names: as `ros2 topic echo --csv` writes a stamp
         return {first, second} <= set(columns) and _is_stamp(columns[first], columns[second])
     is_fraction = any(part.fullmatch(second) for part in PARTS.values())
+    if is_fraction and PLAIN.fullmatch(first) and table.holds_dates(first):
+        return True
     return (is_fraction or PLAIN.fullmatch(second) is not None) and WHOLE.fullmatch(first) is not None
 
 
@@ -469,6 +513,7 @@ def _stamp(table: DataTable, name: str, values: Array) -> tuple[dict[str, object
     if unit not in units:
         is_calendar = EXCEL_DAYS[0] < values[0] < EXCEL_DAYS[1] and step < 1e-4
         known = ("d",) if is_calendar else ("s", "ms", "us", "ns", "d")
+        known = (TICKS,) if TICKS_NOW[0] < values[0] < TICKS_NOW[1] else known
         unit = next((own for own in known if 2e-7 < units[own].factor * step < 2e-2), "s")
         reason = "CHECK unit"
     return {"column": name, "unit": unit}, reason
@@ -476,13 +521,10 @@ def _stamp(table: DataTable, name: str, values: Array) -> tuple[dict[str, object
 
 def _dated(table: DataTable, name: str) -> tuple[dict[str, object], str] | None:
     """The entry of dates of another form, if one of those that are usual fits."""
-    for form in FORMS:
-        try:
-            table.row_times(TimeAxis((name,), form=form))
-        except TableError:
-            continue
-        return {"column": name, "format": form}, "CHECK format: day and month may be the other way round"
-    return None
+    form = next((form for form, trouble in _tried(table, name) if form and not trouble), "")
+    return (
+        ({"column": name, "format": form}, "CHECK format: day and month may be the other way round") if form else None
+    )
 
 
 def _dates(name: str, steps: Array) -> bool:

@@ -31,6 +31,11 @@ OTHER_TYPES = re.compile(
     r"(rcl_interfaces|rosgraph_msgs|diagnostic_msgs|lifecycle_msgs|statistics_msgs|builtin_interfaces)/.*"
 )
 """Types that hold no quantity of a valve: large ones, and what ROS tells of itself."""
+MOST_LEVELS = 12
+"""A voltage rests at so few levels at most."""
+LEAST_READINGS, FAR, ENOUGH = 0.9, 3.0, 2000
+"""Share of values that are readings, at least; how many of their ranges a code is beyond them; values that show that
+they differ."""
 MOST_MESSAGES = 200_000
 """Of each topic: enough to see what it is."""
 MOST_FIELDS = 60
@@ -104,10 +109,20 @@ class Series:
         return float(large / max(large, np.abs(np.diff(medians_of_three(self.values))).sum(), 1e-300))
 
 
+def without_codes(values: Array) -> Array:
+    """Finite values, (n,), without a few that stand for no reading, -9999 say: far beyond the range of all others."""
+    for end in (np.min, np.max):
+        rest = values[values != end(values)] if len(values) > MOST_LEVELS else values
+        if LEAST_READINGS * len(values) < len(rest) < len(values) and len(np.unique(rest[:ENOUGH])) > MOST_LEVELS:
+            span, gap = float(np.ptp(rest)), float(np.abs(end(rest) - end(values)))
+            values = rest if gap > FAR * span else values
+    return values
+
+
 def table_series(table: DataTable, columns: Mapping[str, Array], clocks: Mapping[str, str]) -> list[Series]:
     """Columns of a table; `clocks` has the columns of times of those that have their own."""
     held = {name: held_between(values) for name, values in columns.items()}
-    found = [(name, values[np.isfinite(values)]) for name, values in held.items()]
+    found = [(name, without_codes(values[np.isfinite(values)])) for name, values in held.items()]
     return [
         Series(
             {"column": name, **({"time": clocks[name]} if name in clocks else {})}, values, table.units.get(name, "")
@@ -117,8 +132,8 @@ def table_series(table: DataTable, columns: Mapping[str, Array], clocks: Mapping
     ]
 
 
-def bag_series(path: Path) -> list[Series]:
-    """Every number that the messages of a bag hold, messages of other things left out.
+def bag_series(path: Path) -> tuple[list[Series], dict[str, str]]:
+    """Every number that the messages of a bag hold, messages of other things left out; and why others cannot be read.
 
     Raises:
         TraceError: Nothing can be read from it.
@@ -128,11 +143,13 @@ def bag_series(path: Path) -> list[Series]:
         return {topic: None for topic, message_type in types.items() if not OTHER_TYPES.fullmatch(message_type)}
 
     recording = read_recording(path, select, most=MOST_MESSAGES)
-    result: list[Series] = []
+    series, troubles = list[Series](), dict[str, str]()
     for name, topic in sorted(recording.topics.items()):
         if topic.batches:
-            result += _fields(name, topic)
-    return result
+            series += _fields(name, topic)
+        else:
+            troubles[name] = recording.trouble(name).strip(" :").partition(";")[0]
+    return series, troubles
 
 
 def _fields(topic: str, messages: Topic) -> list[Series]:
@@ -154,7 +171,7 @@ def _fields(topic: str, messages: Topic) -> list[Series]:
     for place in places:
         source = Source(place["topic"], place.get("field", ""), place.get("joint", ""))
         values, _ = messages.values(source)
-        values = values[np.isfinite(values)]
+        values = without_codes(values[np.isfinite(values)])
         if len(values):
             is_first = place.get("field", "") not in ("velocity", "effort")
             series.append(Series(place, values, is_first_choice=is_first))

@@ -10,7 +10,7 @@ import os
 from dataclasses import dataclass, field
 from io import BytesIO
 from struct import Struct
-from typing import TYPE_CHECKING, BinaryIO, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple
 from zlib import crc32
 
 import lz4.frame  # type: ignore[import-untyped]
@@ -20,7 +20,6 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.records import Channel, Chunk, ChunkIndex, Schema
-from numpy.lib.stride_tricks import sliding_window_view
 
 from valve_sim.files.bounded import MOST_EXPANDED
 from valve_sim.recordings.cdr import full_type
@@ -87,16 +86,21 @@ class Contents:
     damaged_chunks: int = 0
     encodings: set[str] = field(default_factory=set)
 
-    def add_channel(self, channel: Channel, schema: Schema | None) -> bool:
-        """Note a channel; whether its messages can be read."""
+    def add_channel(self, channel: Channel, schema: Schema | None) -> str:
+        """Note a channel; its topic if its messages can be read, else empty."""
         if channel.message_encoding != "cdr":
             self.encodings.add(channel.message_encoding)
-            return False
-        if schema is not None:
+        elif schema is not None:
             kind = full_type(schema.name)
-            self.types.setdefault(channel.topic, kind)
             self.definitions.setdefault(kind, (schema.encoding, schema.data.decode("utf-8", "replace")))
-        return schema is not None
+            return self.add_topic(channel.topic, kind)
+        return ""
+
+    def add_topic(self, name: str, kind: str) -> str:
+        """Note a topic and its type; its name as ROS has it, where a recorder wrote that of the middleware."""
+        topic = "/" + name.removeprefix("rt/").lstrip("/")
+        self.types.setdefault(topic, kind)
+        return topic
 
 
 class Sent(NamedTuple):
@@ -130,8 +134,8 @@ class IndexedMcap:
         if any(own.schema_id and own.schema_id not in summary.schemas for own in summary.channels.values()):
             raise NotIndexed
         for number, channel in summary.channels.items():
-            if self.contents.add_channel(channel, summary.schemas.get(channel.schema_id)):
-                self._topics[number] = channel.topic
+            if topic := self.contents.add_channel(channel, summary.schemas.get(channel.schema_id)):
+                self._topics[number] = topic
         if sum(counts.values()) < self.contents.count:
             raise NotIndexed
 
@@ -183,7 +187,16 @@ def _message_index(stream: BinaryIO, offset: int) -> tuple[Places, Places]:
     if opcode != Opcode.MESSAGE_INDEX or len(raw) % 16:
         raise NotIndexed
     entries = np.frombuffer(raw, dtype="<i8").reshape(-1, 2)
-    return entries[:, 0], entries[:, 1]
+    return entries[:, 0].copy(), entries[:, 1].copy()
+
+
+def cut_out(raw: Bytes, starts: NDArray[np.integer], dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Copy what lies in bytes from each of some places on, shape (n,); all of it must be in them.
+
+    Each is copied whole, which is three times as fast as a window of bytes.
+    """
+    from_each: NDArray[Any] = np.ndarray(len(raw) - dtype.itemsize + 1, dtype, raw, 0, (1,))
+    return np.asarray(from_each[starts])
 
 
 def _payload_bounds(raw: Bytes, places: Places, channel: int) -> tuple[Places, Places, Places]:
@@ -192,10 +205,12 @@ def _payload_bounds(raw: Bytes, places: Places, channel: int) -> tuple[Places, P
         return places, places, places
     if not 0 <= places.min() <= places.max() <= len(raw) - MESSAGE.itemsize:
         raise NotIndexed
-    heads = sliding_window_view(raw, MESSAGE.itemsize)[places].view(MESSAGE)[:, 0]
-    starts, stops = places + MESSAGE.itemsize, places + RECORD_HEAD.size + heads["length"]
-    is_message = (heads["opcode"] == Opcode.MESSAGE) & (heads["channel"] == channel)
-    if not (is_message & (starts <= stops) & (stops <= len(raw))).all():
+    heads = cut_out(raw, places, MESSAGE)
+    starts, lengths = places + MESSAGE.itemsize, heads["length"].copy()
+    stops = places + RECORD_HEAD.size + lengths
+    if not (MESSAGE_HEAD.size <= lengths.min() <= lengths.max() <= len(raw) and stops.max() <= len(raw)):
+        raise NotIndexed
+    if not ((heads["opcode"] == Opcode.MESSAGE).all() and (heads["channel"] == channel).all()):
         raise NotIndexed
     return starts, stops, np.ascontiguousarray(heads["sent"])
 
@@ -221,8 +236,8 @@ def read_records(path: Path, topics: Mapping[str, Topic]) -> Contents:
             if isinstance(record, Schema):
                 schemas[record.id] = record
             elif isinstance(record, Channel):
-                if found.add_channel(record, schemas.get(record.schema_id)):
-                    channels[record.id] = record.topic
+                if name := found.add_channel(record, schemas.get(record.schema_id)):
+                    channels[record.id] = name
             elif record.channel in channels:
                 found.count += 1
                 topic = topics.get(channels[record.channel])

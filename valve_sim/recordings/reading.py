@@ -228,6 +228,8 @@ class _Assembly:
     def without_broken(self, where: str, columns: list[Array]) -> list[Array]:
         """Positions, NaN where no plunger can be, as broken messages have it; another unit than m is no break."""
         sizes = np.nan_to_num(np.abs(np.stack(columns)), posinf=0.0)
+        if sizes.max(initial=0.0) <= BROKEN_READING:
+            return columns
         is_metres = np.median(sizes[0]) <= LARGEST_POSITION
         broken = sizes > BROKEN_READING * (1.0 if is_metres else MICROMETRES)
         if not broken.any():

@@ -62,8 +62,7 @@ def _topics(connection: sqlite3.Connection, found: Contents) -> dict[int, str]:
     ):
         if isinstance(name, str) and isinstance(kind, str):
             if encoding == "cdr":
-                names[number] = name
-                found.types[name] = full_type(kind)
+                names[number] = found.add_topic(name, full_type(kind))
             else:
                 found.encodings.add(str(encoding))
     return names

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+import numpy as np
 import zstandard
 from rosbags.typesys import get_types_from_idl, get_types_from_msg
 
@@ -22,7 +23,7 @@ from valve_sim.recordings.topics import Topic
 from valve_sim.recordings.trace import TraceError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 
     from valve_sim.recordings.cdr import Definitions
 
@@ -38,6 +39,8 @@ LARGEST_DEFINITION: Final = 100_000
 """Characters of a message type's definition that are parsed."""
 LATE: Final = 1_000_000
 """ns from publication to the log: some message takes less, or these are of two clocks. A longer way is said."""
+MOST_STANDING: Final = 0.5
+"""A log at whose times most messages share one says when they were written, or nothing."""
 EARLY: Final = 100_000
 """ns by which no message of one clock is logged before it is published."""
 
@@ -61,19 +64,26 @@ class Recording(NamedTuple):
         Raises:
             TraceError: None can; one line that names the file `path` and the topic.
         """
-        where, topic = f"{path}: topic {name}", self.topics.get(name)
+        if trouble := self.trouble(name):
+            raise TraceError(f"{path}: topic {name}{trouble}")
+        return self.topics[name]
+
+    def trouble(self, name: str) -> str:
+        """Why no message of a topic can be read, and the mend, to follow its name; empty where one can."""
+        topic = self.topics.get(name)
         if topic is None:
-            raise TraceError(f"{where} holds no message; record it while something moves")
+            return " holds no message; record it while something moves"
         if not topic.is_known:
-            raise TraceError(
-                f"{where} is {self.types[name]}, whose definition the recording does not hold; record it as MCAP, or "
-                "publish a standard type"
+            return (
+                f" is {self.types[name]}, whose definition the recording does not hold; record it as MCAP, or publish "
+                "a standard type"
             )
-        if not topic.batches:
-            raise TraceError(
-                f"{where}: none of {topic.size} messages can be read as {self.types[name]}; record it again"
-            )
-        return topic
+        if topic.batches:
+            return ""
+        none = f": none of {topic.size} messages can be read as {self.types[name]}"
+        if topic.unreadable:
+            return f"{none}, they are written as {', '.join(sorted(topic.unreadable))}; set the middleware to write CDR"
+        return f"{none}; record it again"
 
 
 class _Metadata(NamedTuple):
@@ -108,18 +118,42 @@ def read_recording(path: Path, select: Select, most: int | None = None) -> Recor
             raise TraceError(
                 f"{path}: {error.words or f'no message could be saved ({why}); record it again'}"
             ) from None
-    findings += _damage(path, metadata, contents)
-    ways = [found for topic in topics.values() if (found := topic.ways) is not None]
-    shortest, longest = min((way[0] for way in ways), default=0), max((way[1] for way in ways), default=0)
-    is_one_clock = -EARLY <= shortest <= LATE and longest < SECOND
+    findings += _damage(path, metadata, contents, [file.name for file in files])
+    by_publication, words = _recorded_by(topics.values())
     for topic in topics.values():
-        topic.finish(by_publication=is_one_clock)
-    if is_one_clock and longest > LATE:
-        findings.append(
-            f"{path.name}: messages were logged up to {longest / 1e6:.2f} ms after they were published; those without "
-            "a stamp are timed by their publication"
-        )
+        topic.finish(by_publication=by_publication)
+    findings += [f"{path.name}: {own}" for own in words]
     return Recording(types, {name: topic for name, topic in topics.items() if topic.size}, tuple(findings))
+
+
+def _recorded_by(topics: Iterable[Topic]) -> tuple[bool, list[str]]:
+    """Whether messages count as recorded when they were published, and what is said of it."""
+    found = list(topics)
+    ways = [(topic.size, way) for topic in found if (way := topic.ways) is not None]
+    if not ways:
+        return False, []
+    shortest, longest = min(way.shortest for _, way in ways), max(way.longest for _, way in ways)
+    if sum(way.standing for _, way in ways) > MOST_STANDING * sum(size for size, _ in ways) and _is_coarse(found):
+        if sum(way.apart for _, way in ways) > MOST_STANDING * sum(way.standing for _, way in ways):
+            words = "several messages were logged at one time; those without a stamp are timed by their publication"
+            return True, [words]
+        return False, ["most messages were logged at the time of another; those without a stamp are timed as coarsely"]
+    if not (-EARLY <= shortest <= LATE and longest < SECOND):
+        return False, []
+    late = f"messages were logged up to {longest / 1e6:.2f} ms after they were published"
+    return True, [f"{late}; those without a stamp are timed by their publication"] if longest > LATE else []
+
+
+def _is_coarse(topics: Sequence[Topic]) -> bool:
+    """Whether most messages without a stamp were logged at the time of another, of whichever topic.
+
+    Else the log is fine, and a driver sends the messages of another topic in bursts.
+    """
+    logged = [topic.logged for topic in topics]
+    times, counts = np.unique(np.concatenate(logged), return_counts=True)
+    loose = [own for topic, own in zip(topics, logged, strict=True) if not topic.is_stamped]
+    shared = [counts[np.searchsorted(times, own)] > 1 for own in loose]
+    return sum(map(np.count_nonzero, shared)) > MOST_STANDING * sum(map(len, loose))
 
 
 class _NothingError(Exception):
@@ -147,7 +181,7 @@ def _read(files: Sequence[Path], select: Select, most: int | None) -> _Found:
             pass
         else:
             return found
-    readers = [read_records if file.suffix == ".mcap" else read_database for file in files]
+    readers = [read_records if file.suffix.lower() == ".mcap" else read_database for file in files]
     found = _topics([read(file, {}) for read, file in zip(readers, files, strict=True)], select, most)
     for read, file in zip(readers, files, strict=True):
         if found[2]:
@@ -157,7 +191,7 @@ def _read(files: Sequence[Path], select: Select, most: int | None) -> _Found:
 
 def _indexed(files: Sequence[Path]) -> list[IndexedMcap]:
     try:
-        return [IndexedMcap(file) for file in files] if all(file.suffix == ".mcap" for file in files) else []
+        return [IndexedMcap(file) for file in files] if all(file.suffix.lower() == ".mcap" for file in files) else []
     except Exception:  # the library raises what it stumbles over
         return []
 
@@ -191,7 +225,7 @@ def _definitions_of(contents: Sequence[Contents], message_type: str) -> Definiti
         if len(text) > LARGEST_DEFINITION:
             continue
         try:
-            found = _types_from_idl(text) if form == "ros2idl" else get_types_from_msg(text, message_type)
+            found = _types_from_idl(text) if form in ("ros2idl", "omgidl") else get_types_from_msg(text, message_type)
         except Exception:  # of a definition that is none, the library raises what it stumbles over
             continue
         if text and found:
@@ -209,18 +243,20 @@ def _types_from_idl(text: str) -> Definitions:
     return found
 
 
-def _damage(path: Path, metadata: _Metadata, contents: Sequence[Contents]) -> list[str]:
+def _damage(path: Path, metadata: _Metadata, contents: Sequence[Contents], names: Sequence[str]) -> list[str]:
     """What is wrong with the files, and what was kept, in a line; none where nothing is."""
     count, chunks = sum(part.count for part in contents), sum(part.damaged_chunks for part in contents)
-    complete = all(part.complete for part in contents)
+    cut = [(name, part.count) for name, part in zip(names, contents, strict=True) if not part.complete]
     declared = max(metadata.messages, count)
-    if complete and not metadata.trouble and not chunks and declared == count:
+    if not cut and not metadata.trouble and not chunks and declared == count:
         return []
-    why = (
-        metadata.trouble or ("a chunk is" if chunks else "its end is" if not complete else "messages are") + " missing"
-    )
+    lost = "what followed is lost" if cut else "the data reach their end"
+    why = metadata.trouble or ("a chunk is" if chunks else "its end is" if cut else "messages are") + " missing"
+    if cut and len(names) > 1:  # the files after it may be whole
+        lost = "the rest is lost"
+        ends = [f"the end of {name} is missing" if kept else f"nothing of {name} is valid" for name, kept in cut]
+        why = ", ".join(filter(None, (metadata.trouble, *ends)))
     of_all = f" of {declared}" if declared > count else ""
-    lost = "the data reach their end" if complete else "what followed is lost"
     damaged = f", {chunks} damaged {'chunk' if chunks == 1 else 'chunks'}" if chunks else ""
     return [f"{path.name}: damaged or unfinished ({why}); kept {count}{of_all} messages, {lost}{damaged}"]
 
@@ -242,7 +278,8 @@ def _refuse_what_is_no_recording(path: Path) -> None:
         if not _storage_files(path):
             raise TraceError(f"{path}: the folder holds no .mcap or .db3 file; give a rosbag2 folder or a .mcap file")
         return
-    if path.suffix not in MAGIC:
+    suffix = path.suffix.lower()
+    if suffix not in MAGIC:
         raise TraceError(
             f"{path}: is not a recording; give a rosbag2 folder, a .mcap file, or a table (.csv, .parquet, .mat)"
         )
@@ -255,9 +292,9 @@ def _refuse_what_is_no_recording(path: Path) -> None:
         raise TraceError(f"{path}: cannot be read ({error.strerror}); check the permissions") from error
     if not head:
         raise TraceError(f"{path}: is empty (0 bytes), nothing was recorded; record it again")
-    if not head.startswith((MAGIC[path.suffix], ZSTD_MAGIC)):
+    if not head.startswith((MAGIC[suffix], ZSTD_MAGIC)):
         raise TraceError(
-            f"{path}: is not a {path.suffix} file, it starts with {head[:8]!r}; give a rosbag2 folder or a .mcap file"
+            f"{path}: is not a {suffix} file, it starts with {head[:8]!r}; give a rosbag2 folder or a .mcap file"
         )
 
 
@@ -280,9 +317,12 @@ def _holds_storage(folder: Path) -> bool:
 
 
 def _storage_files(path: Path) -> list[Path]:
-    """Return a folder's storage files in the order they were recorded (bag_2 before bag_10)."""
+    """Return a folder's storage files in the order they were recorded (bag_2 before bag_10), none twice."""
     names = [*STORAGE_SUFFIXES, *(suffix + ".zstd" for suffix in STORAGE_SUFFIXES)]
     files = [file for file in path.iterdir() if file.name.endswith(tuple(names)) and file.is_file()]
+    # Beside what is packed may lie what `ros2 bag play` unpacked of it, or began to.
+    packed = {file.stem for file in files if file.suffix == ".zstd"}
+    files = [file for file in files if file.name not in packed]
     return sorted(
         files, key=lambda file: [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", file.name)]
     )

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import itertools
 import re
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
-from valve_sim.recordings.cdr import MalformedMessage, find_layout
+from valve_sim.recordings.cdr import UNREADABLE, MalformedMessage, find_layout, representation
 from valve_sim.recordings.clocks import SECOND
-from valve_sim.recordings.mcap_files import LARGEST_CHUNK, ZSTD_MAGIC, TooLargeError, unpack_zstd
+from valve_sim.recordings.mcap_files import LARGEST_CHUNK, ZSTD_MAGIC, TooLargeError, cut_out, unpack_zstd
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
@@ -108,6 +108,21 @@ class Batch(NamedTuple):
         return f"has no number {source.field}; it has {has}; choose one with field:"
 
 
+class Ways(NamedTuple):
+    """How long the messages of a topic took from publication to the log.
+
+    Attributes:
+        shortest, longest: ns.
+        standing: How many messages were logged at the time of the one before.
+        apart: How many of these were published at another time than the one before.
+    """
+
+    shortest: int
+    longest: int
+    standing: int
+    apart: int
+
+
 class Stamps(NamedTuple):
     """When each of n messages was taken.
 
@@ -162,6 +177,7 @@ class Topic:
         batches: What could be read.
         malformed: How many messages could not be read.
         trimmed: How many had bytes behind their last field.
+        unreadable: Representations of messages that could not be read for these.
     """
 
     def __init__(
@@ -173,11 +189,14 @@ class Topic:
     ) -> None:
         self.batches: tuple[Batch, ...] = ()
         self.malformed = self.trimmed = 0
+        self.unreadable: set[str] = set()
         self.is_known = definitions is not None
         self._type, self._definitions, self._keep, self._most = message_type, definitions, keep, most
         self.size = 0
         self._blocks: list[_Block] = []
         self._batches: dict[bytes, list[Batch]] = {}
+        self._layouts: dict[int, tuple[Layout, NDArray[np.uint8]]] = {}
+        """By the length of a message: the last layout of such, and a message that has it."""
         self._waiting: list[tuple[int, int, bytes]] = []
         self._waiting_bytes = 0
 
@@ -249,21 +268,68 @@ class Topic:
             if length == 0:
                 self.malformed += len(index)
                 continue
-            matrix = sliding_window_view(raw, length)[starts[index]]
-            for layout, rows, own in _split_by_layout(matrix, index, self._type, definitions):
+            matrix = cut_out(raw, starts[index], np.dtype(f"V{length}")).view(np.uint8).reshape(-1, length)
+            for layout, rows, own in self._split_by_layout(matrix, index, definitions):
                 if layout is None:
                     self.malformed += len(own)
+                    self.unreadable |= {UNREADABLE.get(representation(rows[0].tobytes()), "")} - {""}
                     continue
                 if length - layout.end > LARGEST_PADDING:
                     self.trimmed += len(own)
                 yield layout, rows, own
 
+    def _split_by_layout(
+        self, matrix: NDArray[np.uint8], index: NDArray[np.intp], definitions: Definitions
+    ) -> Iterator[tuple[Layout | None, NDArray[np.uint8], NDArray[np.intp]]]:
+        """Yield layouts, the messages that share one, and their indices; None in place of one that cannot be read."""
+        length, layouts = matrix.shape[1], 0
+        known = self._layouts.get(length)  # of the messages before, which most are like
+        while len(index):
+            if known is None:
+                with suppress(MalformedMessage):
+                    known = find_layout(matrix[0].tobytes(), self._type, definitions), matrix[0].copy()
+                    layouts += 1
+            if known is None or layouts > MOST_LAYOUTS:
+                yield known and known[0], matrix[:1], index[:1]
+                # What is parsed alone is dropped from the front as a view; copying the rest each time would be
+                # quadratic.
+                matrix, index, known = matrix[1:], index[1:], None
+                continue
+            same = _same_layout(matrix, *known)
+            if same.all():
+                self._layouts[length] = known
+                yield known[0], matrix, index
+                return
+            if same.any():
+                yield known[0], matrix[same], index[same]
+            matrix, index, known = matrix[~same], index[~same], None
+
     @property
-    def ways(self) -> tuple[int, int] | None:
-        """The shortest and the longest time from publication to the log, ns; None where there is no message."""
+    def logged(self) -> Times:
+        """When each message was logged, ns, shape (n,), in the order of the files."""
         self._take_waiting()
-        ways = [block.times - block.published for block in self._blocks]
-        return (min(int(own.min()) for own in ways), max(int(own.max()) for own in ways)) if ways else None
+        return np.concatenate([np.empty(0, dtype=np.int64), *(block.times for block in self._blocks)])
+
+    @property
+    def is_stamped(self) -> bool:
+        """Whether a message has a header."""
+        return any(block.has_header.any() for block in self._blocks)
+
+    @property
+    def ways(self) -> Ways | None:
+        """How long messages took to the log, and how long it stood still; None where there is no message."""
+        self._take_waiting()
+        if not self._blocks:
+            return None
+        shortest, longest, standing, apart = [], [], 0, 0
+        for block in self._blocks:
+            way = block.times - block.published
+            shortest.append(int(way.min()))
+            longest.append(int(way.max()))
+            stood = np.flatnonzero(block.times[1:] == block.times[:-1])
+            standing += len(stood)
+            apart += int(np.count_nonzero(block.published[stood + 1] != block.published[stood]))
+        return Ways(min(shortest), max(longest), standing, apart)
 
     def finish(self, *, by_publication: bool = False) -> None:
         """Put what was taken into the order of time; later messages would be lost.
@@ -339,9 +405,8 @@ def _kept(layout: Layout, keep: Collection[str] | None) -> Iterator[Place]:
 def _number(rows: NDArray[np.uint8], layout: Layout, path: str, place: int) -> Column:
     """One number of each message, shape (n,), out of their bytes, shape (n, length)."""
     offset, dtype, _ = layout.fields[path]
-    width = np.dtype(dtype).itemsize
-    begin = offset + place * width
-    return np.ascontiguousarray(rows[:, begin : begin + width]).view(dtype)[:, 0]
+    begin = offset + place * np.dtype(dtype).itemsize
+    return np.ndarray(len(rows), dtype, rows, begin, rows.strides[:1]).copy()
 
 
 def _kind(message: NDArray[np.uint8], layout: Layout) -> bytes:
@@ -365,38 +430,12 @@ def _where(indices: NDArray[np.intp]) -> slice | NDArray[np.intp]:
     return slice(int(indices[0]), int(indices[-1]) + 1) if is_row else indices
 
 
-def _split_by_layout(
-    matrix: NDArray[np.uint8], index: NDArray[np.intp], message_type: str, definitions: Definitions
-) -> Iterator[tuple[Layout | None, NDArray[np.uint8], NDArray[np.intp]]]:
-    """Yield layouts, the messages that share one, and their indices; None in place of a layout that cannot be read."""
-    layouts = 0
-    while len(index):
-        layout = None
-        try:
-            layout = find_layout(matrix[0].tobytes(), message_type, definitions)
-        except MalformedMessage:
-            same = None
-        else:
-            layouts += 1
-            same = _same_layout(matrix, layout) if layouts <= MOST_LAYOUTS else None
-        if same is None:
-            yield layout, matrix[:1], index[:1]
-            # What is parsed alone is dropped from the front as a view; copying the rest each time would be quadratic.
-            matrix, index = matrix[1:], index[1:]
-        elif same.all():
-            yield layout, matrix, index
-            return
-        else:
-            yield layout, matrix[same], index[same]
-            matrix, index = matrix[~same], index[~same]
-
-
-def _same_layout(matrix: NDArray[np.uint8], layout: Layout) -> NDArray[np.bool_]:
-    """(n,) which messages have the lengths and names of the first."""
+def _same_layout(matrix: NDArray[np.uint8], layout: Layout, message: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """(n,) which messages have the lengths and names of a layout, which another message has."""
     is_fixed = np.zeros(matrix.shape[1], dtype=bool)
     for start, stop in layout.fixed:
         is_fixed[start:stop] = True
-    differs = matrix != matrix[0]
+    differs = matrix != message
     differs &= is_fixed
     # Mostly none does, which all bytes in a row say sooner than those of each message.
     return ~differs.any(axis=1) if differs.any() else np.ones(len(matrix), dtype=bool)
