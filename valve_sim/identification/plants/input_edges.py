@@ -42,18 +42,21 @@ PLAINLY: Final = 4.0
 """Standard deviations of von Neumann's ratio, beyond which more than noise is on a rest."""
 STEP: Final = 1e-2
 """Of a difference quotient, in standard deviations."""
+INPUT_EDGE: Final = "input_edge"
 
 
 class Edge(NamedTuple):
     """A jump of inputs.
 
     Attributes:
-        name: of the error of its time, s, which is added.
+        name: of the error of its time, s, which is added. recording, number: of it, from 0 on.
         time: s, of the first reading after it of an input that holds; in the middle between two of another one.
         interval: s, in which it lies. columns: the numbers of the inputs that jump.
     """
 
     name: str
+    recording: int
+    number: int
     time: float
     interval: float
     columns: tuple[int, ...]
@@ -79,7 +82,7 @@ def edges_of(recording: int, columns: Sequence[tuple[Array, Array]], held: Seque
         return []
     gaps = np.diff([-math.inf, *at, math.inf])
     return [
-        Edge(f"input_edge[{recording},{place}]", time, found[time][0], tuple(found[time][1]))
+        Edge(f"{INPUT_EDGE}[{recording},{place}]", recording, place, time, found[time][0], tuple(found[time][1]))
         for place, time in enumerate(at)
         if min(gaps[place], gaps[place + 1]) > APART * found[time][0]
     ]
@@ -128,7 +131,8 @@ def edge_errors(edges: Sequence[Edge], channels: tuple[int, ...], interval: floa
     return [
         Nuisance(
             edge.name, sigma, "s", channels, during, step=STEP * sigma, lower=-FURTHEST * edge.interval,
-            upper=FURTHEST * edge.interval, error="input_edges",
+            upper=FURTHEST * edge.interval, error="input_edges", number=INPUT_EDGE, recording=edge.recording,
+            part=edge.number,
         )
         for edge, during in zip(edges, itertools.pairwise([*begins, math.inf]), strict=True)
     ]  # fmt: skip

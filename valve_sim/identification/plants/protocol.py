@@ -46,6 +46,23 @@ MACHINE_ERRORS: Final = ("supply", "stroke_variation")
 """Names of the errors that act on the machine, which `Plant.varying` may be parts of."""
 
 
+class SharedSize(NamedTuple):
+    """What nuisances of one size have in common.
+
+    Attributes:
+        what: differs, by a name for people. recording: number of the recording in which it does.
+        effect: whose parameter it is; empty: it is none of an effect.
+    """
+
+    what: str
+    recording: int
+    effect: str = ""
+
+    def __str__(self) -> str:
+        """As in names of sizes: damping[0]."""
+        return f"{self.what}[{self.recording}]"
+
+
 class Nuisance(NamedTuple):
     """A quantity with a prior, estimated in every fit: a recording's error, or a declared value with a tolerance.
 
@@ -60,6 +77,9 @@ class Nuisance(NamedTuple):
         same_slope: by how much that parameter changes for each unit of this one, about the mean of the prior.
         error: the error of the recording that it is a part of, by its name in report.json, whose size is learned.
         group: nuisances of one group share a size; `sigma` is then the scale of the prior of that.
+        number: what it moves: a number of the machine, `<effect>.<parameter>`, or an error by its name.
+        recording: the number of the one recording in which it does; −1: in all of them.
+        part: the number of the stroke, the command or the window in which it does; −1: in the whole recording.
     """
 
     name: str
@@ -75,7 +95,10 @@ class Nuisance(NamedTuple):
     same_as: str = ""
     same_slope: float = 1.0
     error: str = ""
-    group: str = ""
+    group: SharedSize | None = None
+    number: str = ""
+    recording: int = -1
+    part: int = -1
 
     @property
     def bounds(self) -> tuple[float, float]:
@@ -428,8 +451,7 @@ class Plant:
     def varying(self) -> Sequence[Nuisance]:
         """Errors of the recordings that act on the machine, in groups whose sizes are learned.
 
-        Each has an `error` of `MACHINE_ERRORS` and a `group`; `predict` takes their values by name. Those of
-        parameters that differ from stroke to stroke are what `variation.group_variations` returns.
+        Each has an `error` of `MACHINE_ERRORS` and a `group`; `predict` takes their values by name.
         """
         return ()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import Final
 
 from valve_sim.identification.plants.protocol import Array, EffectChoice, Nuisance
@@ -24,6 +25,8 @@ WATCHED: Final = frozenset({*SWITCHES, "reference_voltage", "coil_resistance"})
 """These, and what the rated current follows from: effects change what is declared of them."""
 DAMPINGS: Final = ("pilot_damping", "main_damping")
 """Declared values that every fit frees, because they are not known beforehand; see `dampings_of`."""
+OF_EFFECTS: Final = frozenset(f"{name}.{own.name}" for name, entry in CATALOGUE.items() for own in entry.parameters)
+"""What fits call the parameters of effects."""
 
 
 def dampings_of(valve: Valve) -> tuple[str, ...]:
@@ -98,6 +101,15 @@ class ValveModel:
         if effect in self.valve.effects:
             return self.valve.effects[effect][parameter]
         return CATALOGUE[effect].parameter(parameter).neutral
+
+    @cached_property
+    def _names(self) -> frozenset[str]:
+        hypotheses = (name for choice in self.effects.values() for name in choice.free_names())
+        return OF_EFFECTS.union(self._declared, self._gas, hypotheses, (own.name for own in self.nuisances))
+
+    def has(self, name: str) -> bool:
+        """Whether a value is one of the valve, not of a recording of it."""
+        return name in self._names
 
     def is_watched(self, name: str) -> bool:
         """Whether a declared value, or a parameter of an effect, may change a switch or the rated current."""
