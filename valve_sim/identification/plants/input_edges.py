@@ -49,17 +49,18 @@ class Edge(NamedTuple):
     """A jump of inputs.
 
     Attributes:
-        name: of the error of its time, s, which is added. recording, number: of it, from 0 on.
+        name: of the error of its time, s, which is added.
         time: s, of the first reading after it of an input that holds; in the middle between two of another one.
         interval: s, in which it lies. columns: the numbers of the inputs that jump.
+        recording, number: of the recording, and of the jump in it, from 0 on.
     """
 
     name: str
-    recording: int
-    number: int
     time: float
     interval: float
     columns: tuple[int, ...]
+    recording: int = 0
+    number: int = 0
 
 
 def edges_of(recording: int, columns: Sequence[tuple[Array, Array]], held: Sequence[bool], rate: float) -> list[Edge]:
@@ -82,7 +83,7 @@ def edges_of(recording: int, columns: Sequence[tuple[Array, Array]], held: Seque
         return []
     gaps = np.diff([-math.inf, *at, math.inf])
     return [
-        Edge(f"{INPUT_EDGE}[{recording},{place}]", recording, place, time, found[time][0], tuple(found[time][1]))
+        Edge(f"{INPUT_EDGE}[{recording},{place}]", time, found[time][0], tuple(found[time][1]), recording, place)
         for place, time in enumerate(at)
         if min(gaps[place], gaps[place + 1]) > APART * found[time][0]
     ]

@@ -40,7 +40,7 @@ class OwnModel:
     Attributes:
         file: with these scales. refitted: the parameters that are declared `free`.
         effects: those of the file, and that a declared value is wrong.
-        corrected: names of the columns whose gain or offset is estimated.
+        corrected: by the name of a column whose gain or offset is estimated, the names of both in the equations.
 
     Raises:
         PlantFileError: its equations are more than the integrator has room for.
@@ -56,9 +56,8 @@ class OwnModel:
         if recordings:
             self.file = file.sized(self._sizes())
         self.refitted = tuple(name for name, own in self.file.parameters.items() if own.free)
-        self.corrected = sorted({
-            name for own in recordings for name, column in own.columns.items() if column.gain or column.offset
-        })  # fmt: skip
+        erring = {name for own in recordings for name, column in own.columns.items() if column.gain or column.offset}
+        self.corrected = {name: (f"{name} gain", f"{name} offset") for name in sorted(erring)}
         self.delaying = {f"{name}.{own}" for name, effect in file.effects.items() for own in effect.delay.values()}
         self.effects: Mapping[str, EffectChoice] = self._effect_choices()
         self.machine(())
@@ -137,9 +136,9 @@ class OwnModel:
         """The equations with factor and offset of each column whose errors are estimated."""
         outputs, names = dict(equations.outputs), list(equations.parameters)
         driven: dict[str, Expr] = {}
-        for name in self.corrected:
-            gain, offset = Expr("name", (), f"{name} gain"), Expr("name", (), f"{name} offset")
-            names += [gain.value, offset.value]
+        for name, both in self.corrected.items():
+            gain, offset = (Expr("name", (), own) for own in both)
+            names += both
             if name in self.file.inputs:
                 # The machine is driven by the true input, of which the column shows this much.
                 hidden = Expr("name", (), f"{name} recorded")
