@@ -55,6 +55,11 @@ class OwnModel:
             self._check(recording)
         if recordings:
             self.file = file.sized(self._sizes())
+        self._of_effects = {
+            f"{name}.{own}": (own, entry)
+            for name, effect in self.file.effects.items()
+            for own, entry in effect.parameters.items()
+        }
         self.refitted = tuple(name for name, own in self.file.parameters.items() if own.free)
         erring = {name for own in recordings for name, column in own.columns.items() if column.gain or column.offset}
         self.corrected = {name: (f"{name} gain", f"{name} offset") for name in sorted(erring)}
@@ -68,8 +73,7 @@ class OwnModel:
         Raises:
             KeyError: there is none.
         """
-        effect, dot, own = name.partition(".")
-        if not dot:
+        if name not in self._of_effects:
             entry = self.file.parameters[name]
             size = abs(entry.value) or (
                 0.25 * (entry.upper - entry.lower) if math.isfinite(entry.upper - entry.lower) else 1.0
@@ -77,16 +81,15 @@ class OwnModel:
             scale = entry.tolerance or size
             title = entry.title or name.replace("_", " ")
             return Parameter(name, entry.unit.si, title, entry.lower, entry.upper, scale)
-        found = self.file.effects[effect].parameters[own]
+        own, found = self._of_effects[name]
         title = found.title or own.replace("_", " ")
         return Parameter(own, found.unit.si, title, found.lower, found.upper, found.scale, found.neutral)
 
     def declared(self, name: str) -> float:
         """The declared value, or that at which an effect changes nothing; of a shape one within its range."""
-        effect, dot, own = name.partition(".")
-        if not dot:
+        if name not in self._of_effects:
             return self.file.parameters[name].value
-        found = self.file.effects[effect].parameters[own]
+        _, found = self._of_effects[name]
         if found.neutral is not None:
             return found.neutral
         if math.isfinite(found.lower) and not found.lower <= found.scale <= found.upper:
@@ -99,8 +102,7 @@ class OwnModel:
         Raises:
             ParameterError: there is none of such a name, or none is given.
         """
-        known = [*self.file.parameters]
-        known += [f"{name}.{own}" for name, effect in self.file.effects.items() for own in effect.parameters]
+        known = [*self.file.parameters, *self._of_effects]
         if not names:
             raise ParameterError(
                 f"{self.file.path}: frees nothing; write free: true beside a parameter, or give --free NAME"
@@ -123,8 +125,7 @@ class OwnModel:
                 equations = self._with_errors(self.file.equations(effects))
                 free = [
                     name for name in equations.parameters
-                    if "." in name or " " in name or self.file.parameters[name].free
-                    or self.file.parameters[name].tolerance or self.file.parameters[name].varies
+                    if (own := self.file.parameters.get(name)) is None or own.free or own.tolerance or own.varies
                 ]  # fmt: skip
                 try:
                     self._machines[effects] = Machine(equations, free)

@@ -56,7 +56,7 @@ def moving_valve(
     """
     own = [{name: by for name, by in one.slopes.items() if model.has(name)} for one in directions]
     # Of effects that only directions have, neutral ones.
-    asked = {name for slopes in own for name in slopes if "." in name} - values.keys()
+    asked = {name for slopes in own for name in slopes if name in model.of_effects} - values.keys()
     if asked:
         values = {**values, **{name: model.declared(name) for name in sorted(asked)}}
     ahead = {
