@@ -117,7 +117,7 @@ def by_recording(results: Iterable[Fit]) -> dict[str, tuple[RecordedError, ...]]
     done: set[tuple[int, int]] = set()
     for result in results:
         problem, plant = result.problem, result.problem.plant
-        sources = {own.recording: own.name.rpartition(": ")[0] or own.name for own in plant.channels}
+        sources = {own.recording: own.source or own.name for own in plant.channels}
         seen = {own.recording for at, own in enumerate(plant.channels) if np.any(problem.weight(at) > 0.0)}
         due = {own for own in seen if (id(plant), own) not in done}
         for entry in recorded_errors(result):

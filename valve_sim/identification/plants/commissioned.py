@@ -127,7 +127,8 @@ class CommissionedModel(ValveModel):
         self._spread = covariance_root(commissioned.covariance) / CLOCK_SIGMA
         self._errors = tuple(f"commissioning_error[{index}]" for index in range(self._spread.shape[1]))
         # In a unit in which their deviation is that of a clock, so that one difference step suits both.
-        self.nuisances = (*(Nuisance(name, CLOCK_SIGMA, "–") for name in self._errors), *self._start())
+        errors = (Nuisance(name, CLOCK_SIGMA, "–", number=name) for name in self._errors)
+        self.nuisances = (*errors, *self._start())
         self._dampings = {name: self._damping(name) for name in dampings_of(self.valve)}
         self._changed = {f"{name}.{_VALUE}": name for name in self._dampings}
         alike = tuple(entry.name for entry in CATALOGUE.tagged(Tag.LIKE_DAMPING))
@@ -152,7 +153,7 @@ class CommissionedModel(ValveModel):
         return (
             Nuisance(
                 of_gas(START), sigma, rule.unit, step=1e-3 * sigma, mean=gas.outlet_pressure, lower=rule.lower,
-                is_of_machine=True,
+                is_of_machine=True, number=of_gas(START),
             ),
         )  # fmt: skip
 

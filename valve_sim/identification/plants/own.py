@@ -343,6 +343,7 @@ class OwnPlant(RecordedPlant[OwnModel]):
                     self._groups(times),
                     entry.unit.si,
                     recording=index,
+                    source=recording.source,
                     left_out=left_out if left_out.any() else None,
                     noise=noise,
                 )

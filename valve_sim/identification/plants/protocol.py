@@ -40,10 +40,6 @@ Role = Literal["response", "actuation"]
 
 An actuator's form may be one that no effect explains, so it is believed only as far as effects explain it.
 """
-SENSOR_ERRORS: Final = ("zero", "drift", "hum", "scale", "bend", "ringing", "ringing_scatter")
-"""Names of the errors that add something to what a sensor shows, by which `Sensor.shares` has them."""
-MACHINE_ERRORS: Final = ("supply", "stroke_variation")
-"""Names of the errors that act on the machine, which `Plant.varying` may be parts of."""
 
 
 class SharedSize(NamedTuple):
@@ -198,6 +194,7 @@ class Channel:
             the tolerance of an integrator. No noise is taken to be smaller.
         noise: standard deviation of its white noise where that is known beforehand, in `unit`; 0: the data show it.
         left_out: (n,) True where a reading is no measurement and takes part in nothing; None where all are.
+        source: of the recording, for people; empty: it is called as the channel.
     """
 
     name: str
@@ -213,6 +210,7 @@ class Channel:
     resolution: float = 0.0
     noise: float = 0.0
     left_out: NDArray[np.bool_] | None = None
+    source: str = ""
 
     @property
     def count(self) -> int:
@@ -329,8 +327,9 @@ class Sensor(NamedTuple):
         knots: (c,) s, of the commands, between which its zero drifts evenly, two for each stroke; None: where each
             group of its channel begins, and half-way to the next.
         contacts: impacts that shake it.
-        shares: by the name of an error (`SENSOR_ERRORS`) the scale of its prior, as a share of the range, where it is
-            known to be another than the usual one; 0: there is none.
+        shares: by the name of an error ("zero", "drift", "hum", "scale", "bend", "ringing", "ringing_scatter") the
+            scale of its prior, as a share of the range, where it is known to be another than the usual one; 0: there
+            is none.
         alike: the channel whose errors are as large, where recordings are strokes of one; None: its own.
         low: where its range begins, in the channel's unit.
         is_true_at_rest: whether the model is right while the machine is still, as where nothing moves: drift and hum
@@ -451,7 +450,7 @@ class Plant:
     def varying(self) -> Sequence[Nuisance]:
         """Errors of the recordings that act on the machine, in groups whose sizes are learned.
 
-        Each has an `error` of `MACHINE_ERRORS` and a `group`; `predict` takes their values by name.
+        Each has an `error`, "supply" or "stroke_variation", and a `group`; `predict` takes their values by name.
         """
         return ()
 

@@ -318,7 +318,9 @@ def principal_axes(tolerances: Tolerances) -> Array:
 def _nuisance(
     name: str, sigma: float, unit: str, mean: float, lower: float = -np.inf, upper: float = np.inf
 ) -> Nuisance:
-    return Nuisance(name, sigma, unit, step=STEP * sigma, mean=mean, lower=lower, upper=upper, is_of_machine=True)
+    return Nuisance(
+        name, sigma, unit, step=STEP * sigma, mean=mean, lower=lower, upper=upper, is_of_machine=True, number=name
+    )  # fmt: skip
 
 
 def _contacts(valve: Valve) -> tuple[dict[str, float], dict[str, float]]:
