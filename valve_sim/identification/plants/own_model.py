@@ -14,6 +14,7 @@ from valve_sim.files.plant_entries import PlantFileError
 from valve_sim.files.plant_files import InputEntry, OutputEntry, PlantFile, inlined
 from valve_sim.files.recording_map import MapError
 from valve_sim.identification.plants.protocol import Array, EffectChoice
+from valve_sim.identification.plants.tolerances import hypothesis_of
 from valve_sim.model.core.hybrid.system import EquationsError
 from valve_sim.model.core.own.equations import Equations
 from valve_sim.model.core.own.grammar import Expr, names_in
@@ -27,8 +28,6 @@ QUANTILES: Final = (0.1, 0.3, 0.5, 0.7, 0.9)
 """Of what a threshold acts on, from which fits start it."""
 LAG: Final = 0.01
 """Of a recording's samples, over which its fastest rate is taken."""
-VALUE: Final = "valve."
-"""Begins the name of a declared value that may be wrong, as of every plant."""
 
 
 class OwnModel:
@@ -227,7 +226,7 @@ class OwnModel:
             found[name] = EffectChoice(name, parameters, entry.confused_with, places=self._places(name))
         for name, own in self.file.parameters.items():
             if own.tolerance:
-                key = f"{VALUE}{name}"
+                key = hypothesis_of(name)
                 parameter = self.parameter(name)._replace(off=own.value)
                 found[key] = EffectChoice(key, (parameter,), is_declared_value=True)
         return found

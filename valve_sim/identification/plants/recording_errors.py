@@ -136,32 +136,36 @@ class ErringRecording:
         self._supply = self._error(SUPPLY, SUPPLY_SCALE, "Ω")._replace(
             step=1e-4, lower=0.0, upper=10.0, error=SUPPLY, group=SharedSize(SUPPLY, index)
         )
-        errors = trace.drive_errors
-        sigmas = np.full(len(drive.times), CLOCK_SIGMA) if errors is None else errors.times
-        dates = [
-            self._error(COMMAND_TIME, sigma, "s", command)._replace(during=during[command])
-            for command, sigma in enumerate(sigmas.tolist())
-        ]
-        levels = self._errors_of_levels(during)
-        self.readings = [self._zero] if trace.zero_error > 0.0 else []
-        self.stamps: list[Nuisance] = []
-        if errors is not None:
-            self.readings += [*(own for own in dates if own.sigma > 0.0), *levels.values()]
+        times, levels = self._errors_of_times(during), self._errors_of_levels(during)
+        zeros, self.stamps = [self._zero] if trace.zero_error > 0.0 else [], list[Nuisance]()
+        if trace.drive_errors is None:
+            self.readings = zeros
+            at = zip(times, drive.times.tolist(), strict=True)
+            self.stamps = [own for own, begin in at if self._is_sampled(begin, own.during[1])]
         else:
-            begun = zip(dates, drive.times.tolist(), strict=True)
-            self.stamps = [
-                own._replace(error="command_stamps") for own, at in begun if self._is_sampled(at, own.during[1])
-            ]
-        self._dates = [own.name for own in dates]
+            self.readings = [*zeros, *(own for own in times if own.sigma > 0.0), *levels.values()]
+        self._dates = [own.name for own in times]
         self._levels = [levels[own].name if own in levels else "" for own in drive.volts.tolist()] if levels else []
         clock = () if self._measured is None else (self.clock_offset.name,)
         self._of_drive = frozenset((self.clock_rate.name, self._supply.name, *self._dates, *self._levels, *clock))
+
+    # -- what is unknown -----------------------------------------------------------------------------------------------
 
     def _error(self, number: str, sigma: float, unit: str, part: int = -1) -> Nuisance:
         place = f"{self._index}" if part < 0 else f"{self._index},{part}"
         return Nuisance(
             f"{number}[{place}]", sigma, unit, self._channels, number=number, recording=self._index, part=part
         )  # fmt: skip
+
+    def _errors_of_times(self, during: Sequence[tuple[float, float]]) -> list[Nuisance]:
+        """How much later the voltage changes than each command's stamp or reading says; see `_errors_of_levels`."""
+        drive, errors = self.trace.drive, self.trace.drive_errors
+        sigmas = np.full(len(drive.times), CLOCK_SIGMA) if errors is None else errors.times
+        error = "command_stamps" if errors is None else ""
+        return [
+            self._error(COMMAND_TIME, sigma, "s", command)._replace(during=during[command], error=error)
+            for command, sigma in enumerate(sigmas.tolist())
+        ]
 
     def _errors_of_levels(self, during: Sequence[tuple[float, float]]) -> dict[float, Nuisance]:
         """The error of each level, V, that was read and not measured; `during`: the stroke of each command, s."""
@@ -234,6 +238,8 @@ class ErringRecording:
                     part=stroke,
                 )  # fmt: skip
         return found
+
+    # -- what values of it make ----------------------------------------------------------------------------------------
 
     def lateness(self, values: Mapping[str, float]) -> float:
         """Delay of the stamps of its samples, s; values: of nuisances, by name."""
