@@ -17,8 +17,8 @@ from valve_sim.identification.plants.protocol import (
     Nuisance,
     Plant,
     Sensor,
+    SharedSize,
 )
-from valve_sim.identification.plants.variation import group_factors, group_variations
 from valve_sim.model import Parameter
 
 INTERVAL, CYCLES, CYCLE = 0.02, 8, 400
@@ -50,7 +50,7 @@ class Lag(Plant):
         group = np.arange(CYCLES * CYCLE) // CYCLE
         self.channels = (Channel("made up: T", "temperature", self.times, data, self.quiet, group, "K", drifts=True),)
         self._sensors = {} if sensor is None else {0: sensor}
-        self.varying = group_variations(self.channels, {"gain": 0.05}) if varies else ()
+        self.varying = [varying_gain(cycle) for cycle in range(CYCLES)] if varies else ()
 
     def sensors(self, values: Mapping[str, float]) -> Mapping[int, Sensor]:
         return self._sensors
@@ -64,13 +64,24 @@ class Lag(Plant):
 
     def predict(self, values: Mapping[str, float]) -> list[Array]:
         value = {name: values.get(name, self.declared(name)) for name in PARAMETERS}
-        gains = value["gain"] * group_factors(self.channels[0], "gain", values)
+        deviations = [values.get(varying_gain(cycle).name, 0.0) for cycle in range(CYCLES)]
+        gains = value["gain"] * (1.0 + np.repeat(deviations, CYCLE))
         shown, warm, step = np.empty(len(self.times)), 0.0, INTERVAL
         heats = np.maximum(self.power - value["dead_band.power"], 0.0) * gains
         for i, heat in enumerate(heats.tolist()):
             shown[i] = warm
             warm += step * (heat - warm - value["radiation.coefficient"] * warm**2) / value["time_constant"]
         return [shown]
+
+
+def varying_gain(cycle: int) -> Nuisance:
+    """By how much the gain differs in a cycle, relative."""
+    begin = CYCLE * cycle * INTERVAL
+    during = begin, begin + CYCLE * INTERVAL if cycle < CYCLES - 1 else np.inf
+    return Nuisance(
+        f"stroke_variation[0,{cycle},gain]", 0.05, "–", (0,), during, 1e-4, lower=-0.9, upper=0.9,
+        error="stroke_variation", group=SharedSize("gain", 0), number="gain", recording=0, part=cycle,
+    )  # fmt: skip
 
 
 def cycles() -> tuple[Array, Array, np.ndarray]:

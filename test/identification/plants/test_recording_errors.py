@@ -9,6 +9,7 @@ import pytest
 from plants.declared import CAMPAIGN_VALVE, DeclaredPlant
 from plants.recording import Profile, Recorder, record
 
+from benchmarks.campaign.declared import as_trace
 from valve_sim.files.parameter_files import default_valve
 from valve_sim.files.recording_map import load_map
 from valve_sim.identification.diagnosis.identify import identify
@@ -89,5 +90,24 @@ def test_commands_of_one_reading_share_its_error_and_others_have_their_own() -> 
     moved = ErringRecording(trace, 0, plant.valve).drive({"voltage_error[0,1]": 0.1, "command_error[0,5]": 2e-5})
     np.testing.assert_allclose(moved.volts, [0.0, 9.1, 0.0, 9.1, 0.0, 12.0])
     np.testing.assert_allclose(moved.times - times, [0.0, 0.0, 0.0, 0.0, 0.0, 2e-5], atol=1e-12)
+    assert [(own.number, own.part) for own in plant.nuisances[-2:]] == [("voltage_error", 1), ("voltage_error", 5)]
     (still,), (shifted,) = plant.predict({}), plant.predict({"position_zero[0]": 3e-6})
     np.testing.assert_allclose(shifted - still, 3e-6, atol=1e-15)
+
+
+def test_a_nuisance_says_which_number_it_moves_in_which_stroke_of_which_recording() -> None:
+    profile = Profile(np.array([0.01, 0.04, 0.07, 0.1]), LEVELS, 0.13)
+    traces = [as_trace(record(PLANT, profile, Recorder(with_current=False), seed), "x") for seed in (1, 2)]
+    plant = ValvePlant(traces, default_valve())
+    assert {own.number for own in plant.varying} == {
+        "pilot_damping", "main_damping", "spring_preload", "supply",
+    }  # fmt: skip
+    of_friction = plant.changing("coulomb_friction")
+    assert [(own.number, own.recording, own.part) for own in of_friction] == [
+        ("coulomb_friction.force", recording, stroke) for recording in (0, 1) for stroke in (0, 1)
+    ]  # fmt: skip
+    for own in (*plant.nuisances, *plant.timing_errors, *plant.varying, *of_friction):
+        assert own.number
+        assert own.is_of_machine == (own.recording < 0)
+        assert plant.model.has(own.name) == own.is_of_machine
+        assert {plant.channels[index].recording for index in own.channels} <= {own.recording}

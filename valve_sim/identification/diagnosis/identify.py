@@ -30,8 +30,9 @@ from valve_sim.identification.plants.protocol import (
     primary_channels,
 )
 from valve_sim.identification.plants.stroke_choice import choose_strokes
+from valve_sim.identification.plants.tolerances import GAS_NAMES, parameters_of_effects
 from valve_sim.identification.plants.valve import ValvePlant
-from valve_sim.identification.plants.valve_model import GAS_NAMES, dampings_of
+from valve_sim.identification.plants.valve_model import dampings_of
 from valve_sim.model import CATALOGUE, DECLARED, ParameterError, Valve
 from valve_sim.model.parameters import UNUSED_BY_ONE_PLUNGER, closest, unused_words
 from valve_sim.model.valve import OF_TWO_PLUNGERS
@@ -312,10 +313,10 @@ def check_free(free: Sequence[str], valve: Valve | None = None) -> None:
         ParameterError: one cannot; the message has the closest that can, or says why the valve has no use for it.
     """
     has_gas = valve is None or valve.gas is not None
-    known = [*DECLARED, *(f"{e.name}.{p.name}" for e in CATALOGUE.values() if e.named for p in e.parameters)]
-    of_gas = {f"{e.name}.{p.name}" for e in CATALOGUE.values() if e.with_gas for p in e.parameters}
+    effects = {name: effect for name, (effect, _) in parameters_of_effects().items()}
+    known = [*DECLARED, *(name for name, effect in effects.items() if CATALOGUE[effect].named)]
     for name in free:
-        if not has_gas and name in {*GAS_NAMES, *of_gas}:
+        if not has_gas and (name in GAS_NAMES or (name in effects and CATALOGUE[effects[name]].with_gas)):
             raise ParameterError(f"{name}: cannot be freed, the valve declares no gas; add gas: to its file")
         if name not in [*known, *GAS_NAMES]:
             alike = closest(name, [*known, *GAS_NAMES])
@@ -323,7 +324,7 @@ def check_free(free: Sequence[str], valve: Valve | None = None) -> None:
         if valve is not None and valve.parameters.has_one_plunger:
             if name in UNUSED_BY_ONE_PLUNGER:
                 raise ParameterError(f"{name}: cannot be freed, {unused_words(name)}")
-            if name.partition(".")[0] in OF_TWO_PLUNGERS:
+            if effects.get(name) in OF_TWO_PLUNGERS:
                 raise ParameterError(f"{name}: cannot be freed, a valve with one plunger picks nothing up")
 
 

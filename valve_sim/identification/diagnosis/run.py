@@ -44,6 +44,7 @@ from valve_sim.identification.fit.starts import all_near_off
 from valve_sim.identification.fit.unknown import unknowns_of
 from valve_sim.identification.plants.hold_out import held_out_strokes
 from valve_sim.identification.plants.protocol import Plant, finite_prediction, strokes_of_plant
+from valve_sim.identification.plants.recording_errors import COMMAND_TIME
 from valve_sim.identification.plants.stroke_choice import choose_strokes
 from valve_sim.identification.plants.valve import ValvePlant
 from valve_sim.model import SimulationError, Valve
@@ -387,7 +388,7 @@ class DiagnosisSession:
             tried, share = self._search.tried[names], posterior.shares[names]
             result = tried.result
             there = self._held_out.fit(result)
-            timing = any(own.name.startswith("command_error[") for own in result.nuisances)
+            timing = any(own.number == COMMAND_TIME for own in result.nuisances)
             found.append(
                 Candidate(
                     names, timing, share.total, share.unnamed, tried.plain, -2.0 * (tried.plain - base.plain),

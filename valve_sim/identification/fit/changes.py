@@ -10,8 +10,7 @@ from scipy.special import stdtr
 
 from valve_sim.identification.fit.result import Fit
 from valve_sim.identification.fit.unknown import Group
-from valve_sim.identification.plants.protocol import Array
-from valve_sim.identification.plants.variation import stroke_of, varies_in
+from valve_sim.identification.plants.protocol import Array, Nuisance
 
 FEWEST: Final = 5
 """Strokes, of which a change is told from chance."""
@@ -46,17 +45,17 @@ def changes_in(result: Fit, group: Group, size: float) -> dict[str, Change]:
     Args:
         result: of a fit. group: of what varies from stroke to stroke. size: standard deviation of that, relative.
     """
-    found: dict[str, list[str]] = {}
+    found: dict[str, list[Nuisance]] = {}
     for own in result.nuisances:
         place = result.names.index(own.name)
         if own.group == group.key and result.covariance[place, place] < SEEN * size**2:
-            found.setdefault(varies_in(own.name), []).append(own.name)
+            found.setdefault(own.number, []).append(own)
     changes: dict[str, Change | None] = {}
     for name, each in found.items():
-        places = [result.names.index(own) for own in each]
+        places = [result.names.index(own.name) for own in each]
         # The mean of all, in which they err alike, says nothing of how they differ.
         errors = np.diag(np.linalg.inv(result.covariance[np.ix_(places, places)])) ** -0.5
-        strokes, deviations = np.array([(stroke_of(own), result.values[own]) for own in each]).T
+        strokes, deviations = np.array([(own.part, result.values[own.name]) for own in each]).T
         changes[name] = change_over(strokes, deviations, errors)
     return {name: change for name, change in changes.items() if change is not None}
 

@@ -18,7 +18,7 @@ from valve_sim.identification.fit.errors.error import Mode, RecordingError, Seen
 from valve_sim.identification.fit.errors.hum import HUM
 from valve_sim.identification.fit.priors import Normal
 from valve_sim.identification.fit.unknown import DIFFERENCE, Group, Law, Unknown, known
-from valve_sim.identification.plants.protocol import Array, Channel, Nuisance, Plant, Sensor
+from valve_sim.identification.plants.protocol import Array, Channel, Nuisance, Plant, Sensor, SharedSize
 
 BY_NAME: Final[Mapping[str, RecordingError]] = {error.name: error for error in ERRORS}
 
@@ -62,7 +62,7 @@ class Columns:
 
 def known_name(group: Group) -> str:
     """What a group is in any recording: of what varies of the machine, the name without the recording's number."""
-    kind = group.key.partition("[")[0] if isinstance(group.key, str) else ""
+    kind = group.key.what if isinstance(group.key, SharedSize) else ""
     return f"{group.error} {kind}".rstrip()
 
 
@@ -137,12 +137,14 @@ def changes_of(plant: Plant, effects: Iterable[str]) -> list[Nuisance]:
 
 def varying_unknowns(varying: Sequence[Nuisance]) -> tuple[Unknown, ...]:
     """What acts on the machine, with the groups whose sizes are learned."""
-    return tuple(known(own, _group(own.group, BY_NAME[own.error], own.sigma)) for own in varying)
+    return tuple(
+        known(own, _group(own.group, BY_NAME[own.error], own.sigma)) for own in varying if own.group is not None
+    )
 
 
-def _group(key: int | str, error: RecordingError, scale: float, *, reads_at_rest: bool = False) -> Group:
+def _group(key: int | SharedSize, error: RecordingError, scale: float, *, reads_at_rest: bool = False) -> Group:
     law: Law = "known" if error.is_known else "normal" if error.is_normal else "cauchy"
     return Group(
         key, error.name, scale, law, error.at_rest and reads_at_rest, stays=error.stays,
-        of_machine=isinstance(key, str),
+        of_machine=isinstance(key, SharedSize),
     )  # fmt: skip

@@ -33,7 +33,6 @@ from valve_sim.identification.fit.result import Fit
 from valve_sim.identification.fit.ringing import WORTH, ringing_modes
 from valve_sim.identification.fit.unknown import GONE, Group, Hypothesis, Unknown, curve, unknowns_of
 from valve_sim.identification.plants.protocol import ForceMap
-from valve_sim.identification.plants.variation import varies_in
 from valve_sim.model import SimulationError
 
 HELD: Final = 0.3
@@ -537,7 +536,7 @@ class Fitter:
 def _acts_on(own: Unknown, frees: Mapping[str, Unknown]) -> bool:
     """Whether what varies is there: a number of the machine, or of an effect that is among those that are freed."""
     is_change = own.group is not None and own.group.is_change
-    return not is_change or varies_in(own.name).replace("/", ".") in frees
+    return not is_change or own.nuisance is None or own.nuisance.number in frees
 
 
 def _may_be_claimed(own: Hypothesis, values: Mapping[str, float]) -> bool:

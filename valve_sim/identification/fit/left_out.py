@@ -120,7 +120,7 @@ def _neighbours(keys: Sequence[_Key]) -> list[list[_Key]]:
 def _condition(plant: Plant, stroke: Stroke) -> _Key:
     """Of a valve the voltages of a stroke's commands, and to an octave for how long it was held; else the recording."""
     recording, group = stroke
-    name = next(own.name for own in plant.channels if own.recording == recording).split(": ")[0]
+    name = next(own.source or own.name for own in plant.channels if own.recording == recording)
     numbers = plant.condition_of(recording, group)
     if numbers is None:
         return _Key((float(recording),), name)

@@ -22,8 +22,9 @@ from valve_sim.identification.fit.gaussian import Gaussian
 from valve_sim.identification.fit.result import Fit
 from valve_sim.identification.fit.unknown import GONE, Group
 from valve_sim.identification.plants.effect_titles import inside_sentence, title_of
-from valve_sim.identification.plants.protocol import Array, Plant
-from valve_sim.identification.plants.variation import VARIATION, stroke_of
+from valve_sim.identification.plants.input_edges import INPUT_EDGE
+from valve_sim.identification.plants.protocol import Array, Plant, SharedSize
+from valve_sim.identification.plants.recording_errors import COMMAND_TIME, VARIATION
 
 PICTURED: Final = 200
 """Points of a picture."""
@@ -31,6 +32,8 @@ LIKELY: Final = 0.9
 """Probability from which an error is said to be there."""
 OF_CLOCKS: Final = ("clock_offset", "clock_rate", "command_stamps", "input_edges")
 """Errors that every recording has, and that findings on a fit say by themselves."""
+OF_STAMPS: Final = {COMMAND_TIME: "command_stamps", INPUT_EDGE: "input_edges"}
+"""Errors of which each is the scatter of several nuisances, by what these move."""
 EVEN: Final = 0.5
 """Probability from which an error is expected of further data."""
 TENTH: Final = 0.1
@@ -114,7 +117,7 @@ def by_recording(results: Iterable[Fit]) -> dict[str, tuple[RecordedError, ...]]
     done: set[tuple[int, int]] = set()
     for result in results:
         problem, plant = result.problem, result.problem.plant
-        sources = {own.recording: own.name.rpartition(": ")[0] or own.name for own in plant.channels}
+        sources = {own.recording: own.source or own.name for own in plant.channels}
         seen = {own.recording for at, own in enumerate(plant.channels) if np.any(problem.weight(at) > 0.0)}
         due = {own for own in seen if (id(plant), own) not in done}
         for entry in recorded_errors(result):
@@ -134,8 +137,7 @@ def _of_clocks(result: Fit) -> Iterator[RecordedError]:
         # Savage and Dickey: what the density at 0 was before the data over what it is after them.
         odds = math.exp(min(700.0, 0.5 * (value / error) ** 2)) * error / own.sigma if error > 0.0 else math.inf
         size = _Amount(value, error, value - 1.96 * error, value + 1.96 * error, 1.0 / (1.0 + 1.0 / odds))
-        recording = result.problem.plant.channels[own.channels[0]].recording
-        yield _with_advice_on_clock(_entry(recording, own.error, size, own.unit), result.problem.plant)
+        yield _with_advice_on_clock(_entry(own.recording, own.error, size, own.unit), result.problem.plant)
 
 
 def _with_advice_on_clock(entry: RecordedError, plant: Plant) -> RecordedError:
@@ -149,9 +151,8 @@ def _of_stamps(result: Fit) -> Iterator[RecordedError]:
     """The scatter of commands' stamps, and of when inputs jumped, of a fit that estimates them."""
     late: dict[tuple[int, str], list[float]] = {}
     for own in result.nuisances:
-        if own.error in ("command_stamps", "input_edges") or own.name.startswith("command_error["):
-            recording = result.problem.plant.channels[own.channels[0]].recording
-            late.setdefault((recording, own.error or "command_stamps"), []).append(result.values[own.name])
+        if own.number in OF_STAMPS:
+            late.setdefault((own.recording, OF_STAMPS[own.number]), []).append(result.values[own.name])
     for (recording, error_of), found in late.items():
         values = np.array(found)
         size = math.sqrt(float(np.mean(np.square(values))))
@@ -232,8 +233,9 @@ def _samples_of(group: Group, result: Fit, places: NDArray[np.intp]) -> Array:
 
 def _detail(group: Group, result: Fit) -> str:
     """The sensor, where several have the error; the frequency of a mount; or what varies."""
-    if isinstance(group.key, str):
-        return "" if group.error == "supply" else _what(group.key.partition("[")[0])
+    if isinstance(group.key, SharedSize):
+        return "" if group.error == "supply" else _words(group.key, group.key.what)
+    assert isinstance(group.key, int)
     modes = result.problem.columns.modes.get(group.key, ()) if group.error == "ringing" else ()
     channels = result.problem.plant.channels
     alike = {channels[other.key].kind for other in result.problem.columns.groups.values()
@@ -246,36 +248,37 @@ def _with_trend(entry: RecordedError, result: Fit, group: Group) -> RecordedErro
     """What varies from stroke to stroke, with how it changes where its deviations are no draws."""
     if group.error != VARIATION or not entry.is_likely:
         return entry
-    changes = tuple(_in_words(name, change) for name, change in changes_in(result, group, entry.size).items())
+    assert isinstance(group.key, SharedSize)
+    found = changes_in(result, group, entry.size).items()
+    changes = tuple(_in_words(_words(group.key, number), change) for number, change in found)
     return replace(entry, what_to_do=STEADY, changes=changes) if changes else entry
 
 
-def _in_words(name: str, change: Change) -> str:
+def _in_words(what: str, change: Change) -> str:
     way, begins = "grows" if change.last > change.first else "falls", 1.0 + change.first
     share = f"by {100.0 * abs(change.last - change.first) / max(begins, NOTHING):.0f} %"
     if change.kind == "line":
-        return f"{_what(name)} {way} over the strokes {share if begins > NOTHING else 'from nothing'}"
+        return f"{what} {way} over the strokes {share if begins > NOTHING else 'from nothing'}"
     if change.kind == "some":
         within, without = (", ".join(str(own + 1) for own in each) for each in (change.strokes, change.others))
-        return f"{_what(name)} acts in strokes {within}, and not in {without}"
+        return f"{what} acts in strokes {within}, and not in {without}"
     happens = "begins" if begins <= NOTHING else "ends" if 1.0 + change.last <= NOTHING else f"{way} {share}"
-    return f"{_what(name)} {happens} with stroke {change.strokes[0] + 1}"
+    return f"{what} {happens} with stroke {change.strokes[0] + 1}"
 
 
-def _what(number: str) -> str:
-    """What varies, in words: a number of the machine, or an effect by its title."""
-    effect, slash, _ = number.partition("/")
-    return inside_sentence(title_of(effect)) if slash else number.replace("_", " ")
+def _words(of: SharedSize, number: str) -> str:
+    """What varies, in words: an effect by its title, or a number of the machine."""
+    return inside_sentence(title_of(of.effect)) if of.effect else number.replace("_", " ")
 
 
 def _pictured(entry: RecordedError, result: Fit, group: Group) -> RecordedError:
     """An error of a recording with the picture of what it adds."""
-    if isinstance(group.key, str):
+    if not isinstance(group.key, int):
         own = [one for one in result.nuisances if one.group == group.key]
         if len(own) < 2:
             return entry
         values = np.array([result.values[one.name] for one in own])
-        strokes = np.array([float(stroke_of(one.name)) + 1.0 for one in own])
+        strokes = np.array([one.part + 1.0 for one in own])
         return replace(entry, at=strokes, shown=values, over="stroke")
     channel = result.problem.plant.channels[group.key]
     shown = result.shown_by(result.coefficients, [group.error])[group.key]
@@ -297,7 +300,7 @@ def _of(group: Group, result: Fit) -> tuple[int, str, float]:
         return channel.recording, channel.unit, problem.columns.spans[group.key]
     own = next(one.nuisance for one in problem.columns.varying if one.group == group)
     assert own is not None
-    return problem.plant.channels[own.channels[0]].recording, own.unit, 1.0
+    return own.recording, own.unit, 1.0
 
 
 def _entry(recording: int, name: str, amount: _Amount, unit: str, detail: str = "") -> RecordedError:

@@ -24,6 +24,7 @@ from valve_sim.identification.plants.protocol import (
     ForceMap,
     Nuisance,
     Plant,
+    SharedSize,
     from_internal,
     internal_bounds,
     internal_scale,
@@ -50,7 +51,8 @@ class Group:
     """Unknowns that share a size s.
 
     Attributes:
-        key: the channel, by its index, or the name of what varies; `error`: which error of a recording it is.
+        key: the channel, by its index, what varies of the machine, or a name; `error`: which error of a recording it
+            is.
         scale: of the prior of s, in the unit of the coordinates.
         law: half a Cauchy density, half a normal one, or none: s is the scale.
         at_rest: whether s is read while the machine is still: in motion it would follow what the model lacks.
@@ -59,7 +61,7 @@ class Group:
         of_machine: whether the unknowns act on the machine, and not on what a sensor shows.
     """
 
-    key: int | str
+    key: int | SharedSize | str
     error: str
     scale: float
     law: Law = "cauchy"
@@ -76,7 +78,7 @@ class Group:
     @property
     def is_change(self) -> bool:
         """Whether it is by how much an effect differs from stroke to stroke."""
-        return isinstance(self.key, str) and "/" in self.key
+        return isinstance(self.key, SharedSize) and bool(self.key.effect)
 
     @property
     def is_learned(self) -> bool:

@@ -24,9 +24,9 @@ from valve_sim.identification.monitoring.scores import FINEST, Baseline
 from valve_sim.identification.plants.commissioned import in_service
 from valve_sim.identification.plants.effect_titles import WRONG
 from valve_sim.identification.plants.protocol import Plant
+from valve_sim.identification.plants.recording_errors import VARIATION
 from valve_sim.identification.plants.tolerances import hypothesis_of
 from valve_sim.identification.plants.valve_model import DAMPINGS
-from valve_sim.identification.plants.variation import VARIATION
 from valve_sim.model import Drive
 from valve_sim.recordings import Signal, Trace
 

@@ -127,8 +127,10 @@ class CommissionedModel(ValveModel):
         self._spread = covariance_root(commissioned.covariance) / CLOCK_SIGMA
         self._errors = tuple(f"commissioning_error[{index}]" for index in range(self._spread.shape[1]))
         # In a unit in which their deviation is that of a clock, so that one difference step suits both.
-        self.nuisances = (*(Nuisance(name, CLOCK_SIGMA, "–") for name in self._errors), *self._start())
+        errors = (Nuisance(name, CLOCK_SIGMA, "–", number=name) for name in self._errors)
+        self.nuisances = (*errors, *self._start())
         self._dampings = {name: self._damping(name) for name in dampings_of(self.valve)}
+        self._changed = {f"{name}.{_VALUE}": name for name in self._dampings}
         alike = tuple(entry.name for entry in CATALOGUE.tagged(Tag.LIKE_DAMPING))
         built_in = {entry.name for entry in CATALOGUE.tagged(Tag.BUILT_IN)}
         effects = {
@@ -151,23 +153,22 @@ class CommissionedModel(ValveModel):
         return (
             Nuisance(
                 of_gas(START), sigma, rule.unit, step=1e-3 * sigma, mean=gas.outlet_pressure, lower=rule.lower,
-                is_of_machine=True,
+                is_of_machine=True, number=of_gas(START),
             ),
         )  # fmt: skip
 
     def parameter(self, name: str) -> Parameter:
         """Parameter of any valve, or a damping, which is off where it was."""
-        effect = name.partition(".")[0]
-        return self._dampings[effect] if effect in self._dampings else super().parameter(name)
+        plain = self._changed.get(name, name)
+        return self._dampings[plain] if plain in self._dampings else super().parameter(name)
 
     def declared(self, name: str) -> float:
         """The commissioned value."""
-        effect = name.partition(".")[0]
-        return super().declared(effect if effect in self._dampings else name)
+        return super().declared(self._changed.get(name, name))
 
     def as_declared(self, values: Mapping[str, float]) -> Mapping[str, float]:
         """Values by their plain names: changed dampings, and the errors of commissioning added."""
-        plain = {name: value for name, value in values.items() if name.partition(".")[0] not in self._dampings}
+        plain = {name: value for name, value in values.items() if self._changed.get(name, name) not in self._dampings}
         errors = self._spread @ np.array([plain.pop(name, 0.0) for name in self._errors])
         for name, error in zip(self._estimated, errors.tolist(), strict=True):
             value = values.get(f"{name}.{_VALUE}", values.get(name, self.declared(name)))

@@ -31,7 +31,7 @@ def estimated_valve(model: ValveModel, estimate: Estimate) -> Valve:
         sigmas["moving_mass"] = _of_the_difference(names, covariance)
     declared = {name: sigmas[name] for name in TOLERATED if _is_tolerance(sigmas.get(name, 0.0), DECLARED[name])}
     tolerances = Tolerances(
-        declared, _of_the_polynomial(names, covariance), _of_effects(sigmas, valve), _of_gas(sigmas),
+        declared, _of_the_polynomial(names, covariance), _of_effects(sigmas, valve, model.of_effects), _of_gas(sigmas),
         declared_tolerances.sensor,
     )  # fmt: skip
     return replace(valve, tolerances=tolerances)
@@ -68,12 +68,14 @@ def _of_the_polynomial(names: Sequence[str], covariance: Array) -> tuple[tuple[f
     return tuple(tuple(row) for row in (0.5 * (whole + whole.T)).tolist())
 
 
-def _of_effects(sigmas: Mapping[str, float], valve: Valve) -> dict[str, dict[str, float]]:
+def _of_effects(
+    sigmas: Mapping[str, float], valve: Valve, of_effects: Mapping[str, tuple[str, str]]
+) -> dict[str, dict[str, float]]:
     """Of the effects that the valve has on, by name and parameter."""
     found: dict[str, dict[str, float]] = {}
     for name, sigma in sigmas.items():
-        effect, dot, parameter = name.partition(".")
-        if dot and effect in valve.effects and CATALOGUE[effect].named:
+        effect, parameter = of_effects.get(name, ("", ""))
+        if effect in valve.effects and CATALOGUE[effect].named:
             rule = tolerance_rule(CATALOGUE[effect].parameter(parameter))
             if 0.0 < sigma <= rule.upper and math.isfinite(sigma):
                 found.setdefault(effect, {})[parameter] = sigma

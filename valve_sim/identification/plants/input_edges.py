@@ -42,6 +42,7 @@ PLAINLY: Final = 4.0
 """Standard deviations of von Neumann's ratio, beyond which more than noise is on a rest."""
 STEP: Final = 1e-2
 """Of a difference quotient, in standard deviations."""
+INPUT_EDGE: Final = "input_edge"
 
 
 class Edge(NamedTuple):
@@ -51,12 +52,15 @@ class Edge(NamedTuple):
         name: of the error of its time, s, which is added.
         time: s, of the first reading after it of an input that holds; in the middle between two of another one.
         interval: s, in which it lies. columns: the numbers of the inputs that jump.
+        recording, number: of the recording, and of the jump in it, from 0 on.
     """
 
     name: str
     time: float
     interval: float
     columns: tuple[int, ...]
+    recording: int = 0
+    number: int = 0
 
 
 def edges_of(recording: int, columns: Sequence[tuple[Array, Array]], held: Sequence[bool], rate: float) -> list[Edge]:
@@ -79,7 +83,7 @@ def edges_of(recording: int, columns: Sequence[tuple[Array, Array]], held: Seque
         return []
     gaps = np.diff([-math.inf, *at, math.inf])
     return [
-        Edge(f"input_edge[{recording},{place}]", time, found[time][0], tuple(found[time][1]))
+        Edge(f"{INPUT_EDGE}[{recording},{place}]", time, found[time][0], tuple(found[time][1]), recording, place)
         for place, time in enumerate(at)
         if min(gaps[place], gaps[place + 1]) > APART * found[time][0]
     ]
@@ -128,7 +132,8 @@ def edge_errors(edges: Sequence[Edge], channels: tuple[int, ...], interval: floa
     return [
         Nuisance(
             edge.name, sigma, "s", channels, during, step=STEP * sigma, lower=-FURTHEST * edge.interval,
-            upper=FURTHEST * edge.interval, error="input_edges",
+            upper=FURTHEST * edge.interval, error="input_edges", number=INPUT_EDGE, recording=edge.recording,
+            part=edge.number,
         )
         for edge, during in zip(edges, itertools.pairwise([*begins, math.inf]), strict=True)
     ]  # fmt: skip

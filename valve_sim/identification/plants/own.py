@@ -10,7 +10,7 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from valve_sim.files.changed_plants import changed_plant, save_plant
 from valve_sim.files.plant_files import InputEntry, OutputEntry, PlantFile
 from valve_sim.identification.plants.input_edges import Edge, edge_errors, edges_of, with_edges, without_noise
-from valve_sim.identification.plants.own_model import VALUE, OwnModel
+from valve_sim.identification.plants.own_model import OwnModel
 from valve_sim.identification.plants.protocol import (
     Advice,
     Array,
@@ -59,6 +59,9 @@ TIMES_STEPS: Final = 20
 STEPS_BESIDE: Final = 12
 """Further steps for each sample and each time of an input: what turns faster than half their rate needs more."""
 STEPS_LEAST: Final = 20_000
+
+Moved = Mapping[tuple[str, int, int], Nuisance]
+"""Nuisances by number, recording and part."""
 
 
 @dataclass(frozen=True)
@@ -121,9 +124,10 @@ class OwnPlant(RecordedPlant[OwnModel]):
         super().__init__(model, [own for place in enumerate(recordings) for own in self._measured_by(*place)])
         self._runs = [run for place in enumerate(recordings) for run in self._runs_of(*place)]
         self._edges = [self._edges_of(*place) for place in enumerate(recordings)]
-        self._starts: list[list[Number]] = [[] for _ in self._runs]
         self._nuisances = (*self._of_machine(), *self._of_starts(), *self._of_columns())
-        self._numbers = [self._of_run(run) for run in self._runs]
+        moved = {(own.number, own.recording, own.part): own for own in self._nuisances}
+        self._numbers = [self._numbers_of(run, moved) for run in self._runs]
+        self._starts = [self._starts_of(run, moved) for run in self._runs]
         self._of_effect = {
             name: [Number(own, self.declared(own), own) for own in (f"{name}.{one}" for one in effect.parameters)]
             for name, effect in self.file.effects.items()
@@ -171,8 +175,7 @@ class OwnPlant(RecordedPlant[OwnModel]):
 
     def prediction(self, values: Mapping[str, float], directions: Sequence[Direction] = ()) -> Prediction:
         """The simulated signal of each channel; all derivatives but those to delays are known."""
-        on = {name.partition(".")[0] for name in values if "." in name} - {VALUE.rstrip(".")}
-        effects = tuple(name for name in self.file.effects if name in on)
+        effects = tuple(name for name, own in self._of_effect.items() if any(one.name in values for one in own))
         machine, delays = self.model.machine(effects), self.model.delays(values, effects)
         found = {
             (index, name): np.zeros((len(self.recordings[index][name].times), 1 + len(directions)))
@@ -250,13 +253,24 @@ class OwnPlant(RecordedPlant[OwnModel]):
         first = int(np.searchsorted(times, own[0]))
         return slice(first, first + len(own))
 
-    def _of_run(self, run: Run) -> list[Number]:
+    def _numbers_of(self, run: Run, moved: Moved) -> list[Number]:
         """The numbers of the equations without effects."""
-        index = run.recording
-        found = [Number(name, own.value, name, f"{name}[{index}]") for name, own in self.file.parameters.items()]
-        for name in self.model.corrected:
-            found.append(Number(f"{name} gain", 1.0, added=f"gain[{index}].{name}"))
-            found.append(Number(f"{name} offset", 0.0, added=f"offset[{index}].{name}"))
+
+        def added(name: str) -> str:
+            own = moved.get((name, run.recording, -1))
+            return "" if own is None else own.name
+
+        found = [Number(name, own.value, name, added(name)) for name, own in self.file.parameters.items()]
+        for gain, offset in self.model.corrected.values():
+            found += [Number(gain, 1.0, added=added(gain)), Number(offset, 0.0, added=added(offset))]
+        return found
+
+    def _starts_of(self, run: Run, moved: Moved) -> list[Number]:
+        """Where the states start."""
+        found = []
+        for name, entry in self.file.states.items():
+            own = moved.get((name, run.recording, run.window))
+            found.append(Number(name, entry.start or 0.0) if own is None else Number(name, own.mean, own.name))
         return found
 
     # -- the recordings ------------------------------------------------------------------------------------------------
@@ -329,6 +343,7 @@ class OwnPlant(RecordedPlant[OwnModel]):
                     self._groups(times),
                     entry.unit.si,
                     recording=index,
+                    source=recording.source,
                     left_out=left_out if left_out.any() else None,
                     noise=noise,
                 )
@@ -367,47 +382,36 @@ class OwnPlant(RecordedPlant[OwnModel]):
 
     # -- nuisances and effects -----------------------------------------------------------------------------------------
 
-    def _of_machine(self) -> list[Nuisance]:
-        found = []
+    def _error(self, name: str, sigma: float, unit: str, recording: int, number: str) -> Nuisance:
+        """What is added to a number of the equations in a recording."""
+        channels = self.channels_in(recording)
+        return Nuisance(name, sigma, unit, channels, step=1e-2 * sigma, number=number, recording=recording)
+
+    def _of_machine(self) -> Iterator[Nuisance]:
         for name, own in self.file.parameters.items():
             if own.tolerance:
                 step = min(own.tolerance, 1e-3 * abs(own.value) or own.tolerance)
-                found.append(
-                    Nuisance(
-                        name,
-                        own.tolerance,
-                        own.unit.si,
-                        step=1e-2 * step,
-                        mean=own.value,
-                        lower=own.lower,
-                        upper=own.upper,
-                        is_of_machine=True,
-                    )
-                )
+                yield Nuisance(
+                    name, own.tolerance, own.unit.si, step=1e-2 * step, mean=own.value, lower=own.lower,
+                    upper=own.upper, is_of_machine=True, number=name,
+                )  # fmt: skip
             if own.varies:
                 for index in range(len(self.recordings)):
-                    channels = self.channels_in(index)
-                    found.append(
-                        Nuisance(f"{name}[{index}]", own.varies, own.unit.si, channels, step=1e-2 * own.varies)
-                    )
-        return found
+                    yield self._error(f"{name}[{index}]", own.varies, own.unit.si, index, name)
 
-    def _of_starts(self) -> list[Nuisance]:
+    def _of_starts(self) -> Iterator[Nuisance]:
         is_windowed = not math.isinf(self.file.window)
-        found = []
-        for run, starts in zip(self._runs, self._starts, strict=True):
-            channels = self.channels_in(run.recording)
+        for run in self._runs:
             stretch = (float(run.samples[0]) - 1e-9, float(run.samples[-1]) + 1e-9)
+            during = stretch if is_windowed else (-math.inf, math.inf)
             for name, entry in self.file.states.items():
-                if entry.start is not None and not is_windowed:
-                    starts.append(Number(name, entry.start))
-                    continue
-                mean, sigma = self._first(run, name)
-                key = f"start[{run.recording},{run.window}].{name}"
-                starts.append(Number(name, mean, key))
-                during = stretch if is_windowed else (-math.inf, math.inf)
-                found.append(Nuisance(key, sigma, entry.unit.si, channels, during, step=1e-3 * sigma, mean=mean))
-        return found
+                if entry.start is None or is_windowed:
+                    mean, sigma = self._first(run, name)
+                    yield Nuisance(
+                        f"start[{run.recording},{run.window}].{name}", sigma, entry.unit.si,
+                        self.channels_in(run.recording), during, step=1e-3 * sigma, mean=mean, number=name,
+                        recording=run.recording, part=run.window,
+                    )  # fmt: skip
 
     def _first(self, run: Run, state: str) -> tuple[float, float]:
         """Where a state probably starts, and how well that is known: by an output that shows it, or what it changes."""
@@ -440,22 +444,20 @@ class OwnPlant(RecordedPlant[OwnModel]):
                     return middle, max(abs(middle), float(np.ptp(values))) or 1.0
         return entry.start or 0.0, max(abs(entry.start or 0.0), entry.unit.factor)
 
-    def _of_columns(self) -> list[Nuisance]:
-        found = []
+    def _of_columns(self) -> Iterator[Nuisance]:
         known: dict[str, InputEntry | OutputEntry] = {**self.file.inputs, **self.file.outputs}
         for index, recording in enumerate(self.recordings):
             for name, column in recording.columns.items():
-                channels = self.channels_in(index)
+                own = self.channels_in(index)
                 if name in self.file.outputs:
-                    channels = tuple(i for i in channels if self._of_channel[i][1] == name)
+                    own = tuple(place for place in own if self._of_channel[place][1] == name)
+                gain, offset = self.model.corrected.get(name, ("", ""))
                 if column.gain:
-                    found.append(Nuisance(f"gain[{index}].{name}", column.gain, "–", channels, step=1e-2 * column.gain))
+                    yield self._error(f"gain[{index}].{name}", column.gain, "–", index, gain)._replace(channels=own)
                 if column.offset:
                     unit = known[name].unit
-                    factor = unit.factor if column.unit is None else column.unit.factor
-                    size = factor * column.offset
-                    found.append(Nuisance(f"offset[{index}].{name}", size, unit.si, channels, step=1e-2 * size))
-        return found
+                    size = (unit.factor if column.unit is None else column.unit.factor) * column.offset
+                    yield self._error(f"offset[{index}].{name}", size, unit.si, index, offset)._replace(channels=own)
 
 
 def inputs_of(file: PlantFile, recording: Columns | None) -> Inputs:

@@ -14,6 +14,7 @@ from valve_sim.files.plant_entries import PlantFileError
 from valve_sim.files.plant_files import InputEntry, OutputEntry, PlantFile, inlined
 from valve_sim.files.recording_map import MapError
 from valve_sim.identification.plants.protocol import Array, EffectChoice
+from valve_sim.identification.plants.tolerances import hypothesis_of
 from valve_sim.model.core.hybrid.system import EquationsError
 from valve_sim.model.core.own.equations import Equations
 from valve_sim.model.core.own.grammar import Expr, names_in
@@ -27,8 +28,6 @@ QUANTILES: Final = (0.1, 0.3, 0.5, 0.7, 0.9)
 """Of what a threshold acts on, from which fits start it."""
 LAG: Final = 0.01
 """Of a recording's samples, over which its fastest rate is taken."""
-VALUE: Final = "valve."
-"""Begins the name of a declared value that may be wrong, as of every plant."""
 
 
 class OwnModel:
@@ -40,7 +39,7 @@ class OwnModel:
     Attributes:
         file: with these scales. refitted: the parameters that are declared `free`.
         effects: those of the file, and that a declared value is wrong.
-        corrected: names of the columns whose gain or offset is estimated.
+        corrected: by the name of a column whose gain or offset is estimated, the names of both in the equations.
 
     Raises:
         PlantFileError: its equations are more than the integrator has room for.
@@ -55,10 +54,14 @@ class OwnModel:
             self._check(recording)
         if recordings:
             self.file = file.sized(self._sizes())
+        self._of_effects = {
+            f"{name}.{own}": (own, entry)
+            for name, effect in self.file.effects.items()
+            for own, entry in effect.parameters.items()
+        }
         self.refitted = tuple(name for name, own in self.file.parameters.items() if own.free)
-        self.corrected = sorted({
-            name for own in recordings for name, column in own.columns.items() if column.gain or column.offset
-        })  # fmt: skip
+        erring = {name for own in recordings for name, column in own.columns.items() if column.gain or column.offset}
+        self.corrected = {name: (f"{name} gain", f"{name} offset") for name in sorted(erring)}
         self.delaying = {f"{name}.{own}" for name, effect in file.effects.items() for own in effect.delay.values()}
         self.effects: Mapping[str, EffectChoice] = self._effect_choices()
         self.machine(())
@@ -69,8 +72,7 @@ class OwnModel:
         Raises:
             KeyError: there is none.
         """
-        effect, dot, own = name.partition(".")
-        if not dot:
+        if name not in self._of_effects:
             entry = self.file.parameters[name]
             size = abs(entry.value) or (
                 0.25 * (entry.upper - entry.lower) if math.isfinite(entry.upper - entry.lower) else 1.0
@@ -78,16 +80,15 @@ class OwnModel:
             scale = entry.tolerance or size
             title = entry.title or name.replace("_", " ")
             return Parameter(name, entry.unit.si, title, entry.lower, entry.upper, scale)
-        found = self.file.effects[effect].parameters[own]
+        own, found = self._of_effects[name]
         title = found.title or own.replace("_", " ")
         return Parameter(own, found.unit.si, title, found.lower, found.upper, found.scale, found.neutral)
 
     def declared(self, name: str) -> float:
         """The declared value, or that at which an effect changes nothing; of a shape one within its range."""
-        effect, dot, own = name.partition(".")
-        if not dot:
+        if name not in self._of_effects:
             return self.file.parameters[name].value
-        found = self.file.effects[effect].parameters[own]
+        _, found = self._of_effects[name]
         if found.neutral is not None:
             return found.neutral
         if math.isfinite(found.lower) and not found.lower <= found.scale <= found.upper:
@@ -100,8 +101,7 @@ class OwnModel:
         Raises:
             ParameterError: there is none of such a name, or none is given.
         """
-        known = [*self.file.parameters]
-        known += [f"{name}.{own}" for name, effect in self.file.effects.items() for own in effect.parameters]
+        known = [*self.file.parameters, *self._of_effects]
         if not names:
             raise ParameterError(
                 f"{self.file.path}: frees nothing; write free: true beside a parameter, or give --free NAME"
@@ -124,8 +124,7 @@ class OwnModel:
                 equations = self._with_errors(self.file.equations(effects))
                 free = [
                     name for name in equations.parameters
-                    if "." in name or " " in name or self.file.parameters[name].free
-                    or self.file.parameters[name].tolerance or self.file.parameters[name].varies
+                    if (own := self.file.parameters.get(name)) is None or own.free or own.tolerance or own.varies
                 ]  # fmt: skip
                 try:
                     self._machines[effects] = Machine(equations, free)
@@ -137,9 +136,9 @@ class OwnModel:
         """The equations with factor and offset of each column whose errors are estimated."""
         outputs, names = dict(equations.outputs), list(equations.parameters)
         driven: dict[str, Expr] = {}
-        for name in self.corrected:
-            gain, offset = Expr("name", (), f"{name} gain"), Expr("name", (), f"{name} offset")
-            names += [gain.value, offset.value]
+        for name, both in self.corrected.items():
+            gain, offset = (Expr("name", (), own) for own in both)
+            names += both
             if name in self.file.inputs:
                 # The machine is driven by the true input, of which the column shows this much.
                 hidden = Expr("name", (), f"{name} recorded")
@@ -227,7 +226,7 @@ class OwnModel:
             found[name] = EffectChoice(name, parameters, entry.confused_with, places=self._places(name))
         for name, own in self.file.parameters.items():
             if own.tolerance:
-                key = f"{VALUE}{name}"
+                key = hypothesis_of(name)
                 parameter = self.parameter(name)._replace(off=own.value)
                 found[key] = EffectChoice(key, (parameter,), is_declared_value=True)
         return found

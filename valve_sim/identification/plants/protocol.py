@@ -40,10 +40,23 @@ Role = Literal["response", "actuation"]
 
 An actuator's form may be one that no effect explains, so it is believed only as far as effects explain it.
 """
-SENSOR_ERRORS: Final = ("zero", "drift", "hum", "scale", "bend", "ringing", "ringing_scatter")
-"""Names of the errors that add something to what a sensor shows, by which `Sensor.shares` has them."""
-MACHINE_ERRORS: Final = ("supply", "stroke_variation")
-"""Names of the errors that act on the machine, which `Plant.varying` may be parts of."""
+
+
+class SharedSize(NamedTuple):
+    """What nuisances of one size have in common.
+
+    Attributes:
+        what: differs, by a name for people. recording: number of the recording in which it does.
+        effect: whose parameter it is; empty: it is none of an effect.
+    """
+
+    what: str
+    recording: int
+    effect: str = ""
+
+    def __str__(self) -> str:
+        """As in names of sizes: damping[0]."""
+        return f"{self.what}[{self.recording}]"
 
 
 class Nuisance(NamedTuple):
@@ -60,6 +73,9 @@ class Nuisance(NamedTuple):
         same_slope: by how much that parameter changes for each unit of this one, about the mean of the prior.
         error: the error of the recording that it is a part of, by its name in report.json, whose size is learned.
         group: nuisances of one group share a size; `sigma` is then the scale of the prior of that.
+        number: what it moves: a number of the machine, `<effect>.<parameter>`, or an error by its name.
+        recording: the number of the one recording in which it does; −1: in all of them.
+        part: the number of the stroke, the command or the window in which it does; −1: in the whole recording.
     """
 
     name: str
@@ -75,7 +91,10 @@ class Nuisance(NamedTuple):
     same_as: str = ""
     same_slope: float = 1.0
     error: str = ""
-    group: str = ""
+    group: SharedSize | None = None
+    number: str = ""
+    recording: int = -1
+    part: int = -1
 
     @property
     def bounds(self) -> tuple[float, float]:
@@ -175,6 +194,7 @@ class Channel:
             the tolerance of an integrator. No noise is taken to be smaller.
         noise: standard deviation of its white noise where that is known beforehand, in `unit`; 0: the data show it.
         left_out: (n,) True where a reading is no measurement and takes part in nothing; None where all are.
+        source: of the recording, for people; empty: it is called as the channel.
     """
 
     name: str
@@ -190,6 +210,7 @@ class Channel:
     resolution: float = 0.0
     noise: float = 0.0
     left_out: NDArray[np.bool_] | None = None
+    source: str = ""
 
     @property
     def count(self) -> int:
@@ -306,8 +327,9 @@ class Sensor(NamedTuple):
         knots: (c,) s, of the commands, between which its zero drifts evenly, two for each stroke; None: where each
             group of its channel begins, and half-way to the next.
         contacts: impacts that shake it.
-        shares: by the name of an error (`SENSOR_ERRORS`) the scale of its prior, as a share of the range, where it is
-            known to be another than the usual one; 0: there is none.
+        shares: by the name of an error ("zero", "drift", "hum", "scale", "bend", "ringing", "ringing_scatter") the
+            scale of its prior, as a share of the range, where it is known to be another than the usual one; 0: there
+            is none.
         alike: the channel whose errors are as large, where recordings are strokes of one; None: its own.
         low: where its range begins, in the channel's unit.
         is_true_at_rest: whether the model is right while the machine is still, as where nothing moves: drift and hum
@@ -428,8 +450,7 @@ class Plant:
     def varying(self) -> Sequence[Nuisance]:
         """Errors of the recordings that act on the machine, in groups whose sizes are learned.
 
-        Each has an `error` of `MACHINE_ERRORS` and a `group`; `predict` takes their values by name. Those of
-        parameters that differ from stroke to stroke are what `variation.group_variations` returns.
+        Each has an `error`, "supply" or "stroke_variation", and a `group`; `predict` takes their values by name.
         """
         return ()
 

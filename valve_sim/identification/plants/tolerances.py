@@ -78,14 +78,25 @@ def of_gas(name: str) -> str:
     return f"{GROUP}{name}"
 
 
+GAS_NAMES: Final[Mapping[str, str]] = {of_gas(name): name for name in GAS}
+"""What fits call a number of the group `gas`, and what the group calls it."""
+
+
+def parameters_of_effects() -> dict[str, tuple[str, str]]:
+    """What fits call the parameters of effects, to the effect and its parameter, of the whole catalogue."""
+    return {f"{name}.{own.name}": (name, own.name) for name, entry in CATALOGUE.items() for own in entry.parameters}
+
+
 class ToleratedValues:
     """The values of a valve that are known within a tolerance.
 
     Attributes:
         nuisances: one for each value, or principal axis, that has a tolerance.
+        of_effects: see `parameters_of_effects`.
     """
 
     def __init__(self, valve: Valve) -> None:
+        self.of_effects = parameters_of_effects()
         self._declared = valve.declared()
         if valve.gas is not None:
             self._declared |= {of_gas(name): float(getattr(valve.gas, name)) for name in GAS}
@@ -110,7 +121,7 @@ class ToleratedValues:
                 least = rule.lower + 1e-6 * min(sigma, self.declared(own))
             most = min(rule.upper, upper.get(name, rule.upper))
             same = SAME_AS.get(name)
-            is_on = same is None or same.partition(".")[0] in valve.effects
+            is_on = same is None or self.of_effects[same][0] in valve.effects
             nuisance = _nuisance(own, sigma, rule.unit, self.declared(own), least, most)
             if same is not None and not is_on:
                 nuisance = nuisance._replace(same_as=same, same_slope=_slope_of_effect(name, nuisance.mean))
@@ -141,23 +152,21 @@ class ToleratedValues:
         scale = self._scale_if_wrong(name)
         if scale is None:
             return None
-        own = name.removeprefix(GROUP)
-        if own == name:
+        if name not in GAS_NAMES:
             return DECLARED[name]._replace(prior_scale=scale)
         # With an off value it is searched as it is, as its nuisance and every other declared value are: else its
         # logarithm would be compared with what it is declared as, and its tolerance with the logarithm's error.
-        return GAS[own]._replace(name=name, prior_scale=scale, off=self.declared(name))
+        return GAS[GAS_NAMES[name]]._replace(name=name, prior_scale=scale, off=self.declared(name))
 
     def _scale_if_wrong(self, name: str) -> float | None:
         """The prior scale of a declared value that is wrong; None of what is no rival, or is estimated otherwise."""
         if name == "moving_mass" and self._has_masses:
             return None
-        own = name.removeprefix(GROUP)
-        is_of_gas = own != name
-        sigma = (self._tolerances.gas if is_of_gas else self._tolerances.declared).get(own)
+        gas = GAS_NAMES.get(name)
+        sigma = self._tolerances.declared.get(name) if gas is None else self._tolerances.gas.get(gas)
         if sigma is not None:
             return RELEASED * sigma
-        known = own in EXACT_RIVALS_OF_GAS if is_of_gas else own in EXACT_RIVALS
+        known = name in EXACT_RIVALS if gas is None else gas in EXACT_RIVALS_OF_GAS
         value = abs(self._declared.get(name, 0.0))
         return WRONG_SHARE * value if known and value > 0.0 else None
 
@@ -228,7 +237,7 @@ class ToleratedValues:
         wrong = {
             hypothesis_of(name): own
             for name, own in self._coordinates().items()
-            if name not in refitted and (_effect_like(name) not in effects or _is_one_sided(name))
+            if name not in refitted and (self._effect_like(name) not in effects or self._is_one_sided(name))
         }
         known = {*effects, *wrong}
         alike = {hypothesis_of(name): tuple(o for o in others if o in known) for name, others in LOOK_ALIKES.items()}
@@ -268,17 +277,26 @@ class ToleratedValues:
         declared = self._own[name].mean if name in self._own else self.declared(name)
         if SMALLER_IS.get(name) in effects:
             return parameter._replace(off=declared, lower=declared)
-        return parameter._replace(off=declared, upper=declared if _effect_like(name) in effects else parameter.upper)
+        has_effect = self._effect_like(name) in effects
+        return parameter._replace(off=declared, upper=declared if has_effect else parameter.upper)
+
+    def _effect_like(self, name: str) -> str | None:
+        """The effect that is the same thing as a wrong declared value; None where there is none."""
+        return self.of_effects[SAME_AS[name]][0] if name in SAME_AS else None
+
+    def _is_one_sided(self, name: str) -> bool:
+        """Whether that effect can only raise the value, so that one below the declared has no other name than its own.
+
+        A coil lag adds to the coil time constant, which may as well be smaller than declared.
+        """
+        effect, parameter = self.of_effects[SAME_AS[name]]
+        rule = CATALOGUE[effect].parameter(parameter)
+        return parameter in CATALOGUE[effect].adds_to and rule.lower == rule.off
 
 
 def hypothesis_of(name: str) -> str:
     """What the hypothesis is called that a declared value is wrong: `valve.<name>`, or `gas.<name>` as it is."""
-    return name if name.startswith(GROUP) else f"valve.{name}"
-
-
-def _effect_like(name: str) -> str:
-    """The effect that is the same thing as a wrong declared value; empty where there is none."""
-    return SAME_AS.get(name, "").partition(".")[0]
+    return name if name in GAS_NAMES else f"valve.{name}"
 
 
 def _slope_of_effect(name: str, declared: float) -> float:
@@ -288,16 +306,6 @@ def _slope_of_effect(name: str, declared: float) -> float:
     unit.
     """
     return -1.0 / declared if name == "reference_voltage" else 1.0
-
-
-def _is_one_sided(name: str) -> bool:
-    """Whether that effect can only raise the value, so that one below the declared has no other name than its own.
-
-    A coil lag adds to the coil time constant, which may as well be smaller than declared.
-    """
-    effect, _, parameter = SAME_AS[name].partition(".")
-    rule = CATALOGUE[effect].parameter(parameter)
-    return parameter in CATALOGUE[effect].adds_to and rule.lower == rule.off
 
 
 def principal_axes(tolerances: Tolerances) -> Array:
@@ -310,7 +318,9 @@ def principal_axes(tolerances: Tolerances) -> Array:
 def _nuisance(
     name: str, sigma: float, unit: str, mean: float, lower: float = -np.inf, upper: float = np.inf
 ) -> Nuisance:
-    return Nuisance(name, sigma, unit, step=STEP * sigma, mean=mean, lower=lower, upper=upper, is_of_machine=True)
+    return Nuisance(
+        name, sigma, unit, step=STEP * sigma, mean=mean, lower=lower, upper=upper, is_of_machine=True, number=name
+    )  # fmt: skip
 
 
 def _contacts(valve: Valve) -> tuple[dict[str, float], dict[str, float]]:

@@ -36,17 +36,7 @@ from valve_sim.identification.plants.protocol import (
     Wording,
 )
 from valve_sim.identification.plants.recorded import Prediction, RecordedPlant
-from valve_sim.identification.plants.recording_errors import (
-    ErringRecording,
-    changing,
-    clock_offset,
-    clock_rate,
-    reading_errors,
-    stamp_errors,
-    supply_errors,
-    variations,
-    varying_numbers,
-)
+from valve_sim.identification.plants.recording_errors import ErringRecording
 from valve_sim.identification.plants.stroke_choice import Kind, stroke_kinds
 from valve_sim.identification.plants.valve_model import ValveModel
 from valve_sim.identification.plants.valve_sensitivities import MovingValve, moving_valve, shown
@@ -131,7 +121,10 @@ class ValvePlant(RecordedPlant[ValveModel]):
         model = valve if isinstance(valve, ValveModel) else ValveModel(with_declared_sensor(valve, traces))
         self.traces = tuple(usable(trace, model.valve) for trace in traces)
         super().__init__(model, [own for index, trace in enumerate(self.traces) for own in channels_of(index, trace)])
-        self._recordings = self._recorded_errors()
+        self._recordings = [
+            ErringRecording(trace, index, self.valve, self.channels_in(index), 0 if is_watched else None)
+            for index, trace in enumerate(self.traces)
+        ]
 
     @property
     def valve(self) -> Valve:
@@ -152,23 +145,18 @@ class ValvePlant(RecordedPlant[ValveModel]):
         """
         if (scatter := self.model.scatter) is not None:
             return (*(stamp._replace(sigma=scatter) for stamp in self._stamps), *self.model.nuisances)
-        traces = [(trace, index, self.channels_in(index)) for index, trace in enumerate(self.traces)]
-        offsets = [own(index, channels) for _, index, channels in traces for own in (clock_offset, clock_rate)]
-        readings = (nuisance for of_trace in traces for nuisance in reading_errors(*of_trace))
-        return (*offsets, *readings, *self.model.nuisances)
+        clocks = (error for own in self._recordings for error in (own.clock_offset, own.clock_rate))
+        readings = (error for own in self._recordings for error in own.readings)
+        return (*clocks, *readings, *self.model.nuisances)
 
     @property
     def timing_errors(self) -> Sequence[Nuisance]:
         """An error for each command that was recorded as it was sent: the voltage changes later than its stamp says."""
         return self._stamps if self.model.scatter is None else ()
 
-    @functools.cached_property
+    @property
     def _stamps(self) -> tuple[Nuisance, ...]:
-        return tuple(
-            nuisance
-            for index, trace in enumerate(self.traces)
-            for nuisance in stamp_errors(trace, index, self.channels_in(index))
-        )
+        return tuple(error for own in self._recordings for error in own.stamps)
 
     @functools.cached_property
     def effects(self) -> Mapping[str, EffectChoice]:
@@ -385,7 +373,8 @@ class ValvePlant(RecordedPlant[ValveModel]):
         same, numbers = copy.copy(self), iter(kept)
         same._channels = [_thinned(channel, own) for channel, own in zip(self._channels, kept, strict=True)]
         same.traces = tuple(_thinned_trace(trace, numbers) for trace in self.traces)
-        same._recordings = same._recorded_errors()
+        pairs = zip(self._recordings, same.traces, strict=True)
+        same._recordings = [own.with_samples(trace) for own, trace in pairs]
         return same
 
     @functools.cached_property
@@ -393,29 +382,13 @@ class ValvePlant(RecordedPlant[ValveModel]):
         """What varies from stroke to stroke, and the resistance of the source; none of a valve with gas."""
         if self.valve.gas is not None:
             return ()
-        part_of = 0 if self._is_watched else None
-        return tuple(
-            nuisance
-            for index, trace in enumerate(self.traces)
-            for found in (
-                variations(varying_numbers(self.valve), trace, index, self.channels_in(index), part_of),
-                () if self._is_watched else supply_errors(trace, index, self.channels_in(index)),
-            )
-            for nuisance in found
-        )
+        return tuple(error for own in self._recordings for error in own.varying)
 
     def changing(self, effect: str) -> Sequence[Nuisance]:
         """How much an effect differs in each stroke; none of a valve with gas, or of a declared value."""
         if self.valve.gas is not None or self._is_watched or effect not in CATALOGUE:
             return ()
-        return tuple(
-            nuisance
-            for index, trace in enumerate(self.traces)
-            for nuisance in variations(changing(effect), trace, index, self.channels_in(index))
-        )
-
-    def _recorded_errors(self) -> list[ErringRecording]:
-        return [ErringRecording(trace, index, self.valve) for index, trace in enumerate(self.traces)]
+        return tuple(error for own in self._recordings for error in own.changes(effect).values())
 
     def sensors(self, values: Mapping[str, float]) -> dict[int, Sensor]:
         """The sensors of positions and of the current of each trace; of a valve that is watched, those of positions.

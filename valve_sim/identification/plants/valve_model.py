@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import Final
 
 from valve_sim.identification.plants.protocol import Array, EffectChoice, Nuisance
-from valve_sim.identification.plants.tolerances import ToleratedValues, of_gas
+from valve_sim.identification.plants.tolerances import GAS_NAMES, ToleratedValues
 from valve_sim.model import CATALOGUE, DECLARED, Parameter, Valve, ValveParameters
 from valve_sim.model.gas import GAS, GasParameters
 from valve_sim.model.parameters import POLYNOMIAL_NAMES
 from valve_sim.model.valve import OF_TWO_PLUNGERS
 
-GAS_NAMES: Final[Mapping[str, str]] = {of_gas(name): name for name in GAS}
-"""What fits call a number of the group `gas`, and what the group calls it."""
 SWITCHES: Final = (
     "coil_time_constant", "eddy_time_constant", "residual_current", "restitution_stop", "restitution_seat",
     "stop_compliance", "sensor_time_constant", "release_voltage",
@@ -48,6 +47,7 @@ class ValveModel:
         effects: the catalogue; of effects that the declared valve has on, that they are not as large as declared; and
             that a declared value is wrong.
         nuisances: declared values with a tolerance.
+        of_effects: see `tolerances.parameters_of_effects`.
     """
 
     scatter: float | None = None
@@ -55,6 +55,7 @@ class ValveModel:
     def __init__(self, valve: Valve) -> None:
         self.valve, self.refitted = valve, dampings_of(valve)
         self._tolerated = ToleratedValues(valve)
+        self.of_effects = self._tolerated.of_effects
         self.nuisances: tuple[Nuisance, ...] = self._tolerated.nuisances
         left_out = {name for name, entry in CATALOGUE.items() if not entry.tried}
         left_out |= {name for name, entry in CATALOGUE.items() if not entry.is_of(has_gas=valve.gas is not None)}
@@ -85,23 +86,35 @@ class ValveModel:
         """
         if name in self._gas:
             return self._tolerated.parameter(name) or GAS[self._gas[name]]
-        effect, dot, parameter = name.partition(".")
-        return CATALOGUE[effect].parameter(parameter) if dot else self._tolerated.parameter(name) or DECLARED[name]
+        if name in self.of_effects:
+            effect, parameter = self.of_effects[name]
+            return CATALOGUE[effect].parameter(parameter)
+        return self._tolerated.parameter(name) or DECLARED[name]
 
     def declared(self, name: str) -> float:
         """The declared value, or the one at which an effect changes nothing."""
         if name in self._gas:
             return float(getattr(self.valve.gas, self._gas[name]))
-        effect, dot, parameter = name.partition(".")
-        if not dot:
+        if name not in self.of_effects:
             return self._tolerated.declared(name)
+        effect, parameter = self.of_effects[name]
         if effect in self.valve.effects:
             return self.valve.effects[effect][parameter]
         return CATALOGUE[effect].parameter(parameter).neutral
 
+    @cached_property
+    def _names(self) -> frozenset[str]:
+        hypotheses = (name for choice in self.effects.values() for name in choice.free_names())
+        nuisances = (own.name for own in self.nuisances)
+        return frozenset().union(self.of_effects, self._declared, self._gas, hypotheses, nuisances)
+
+    def has(self, name: str) -> bool:
+        """Whether a value is one of the valve, not of a recording of it."""
+        return name in self._names
+
     def is_watched(self, name: str) -> bool:
         """Whether a declared value, or a parameter of an effect, may change a switch or the rated current."""
-        return name.partition(".")[0] in self._watched
+        return (self.of_effects[name][0] if name in self.of_effects else name) in self._watched
 
     def as_declared(self, values: Mapping[str, float]) -> Mapping[str, float]:
         """Values by the names of declared scalars and parameters of effects, in place of what stands for them."""
@@ -109,15 +122,21 @@ class ValveModel:
 
     def with_values(self, values: Mapping[str, float]) -> Valve:
         """The valve that freed values and estimates of declared values describe; its tolerances stay as declared."""
-        effects = {name: dict(parameters) for name, parameters in self.valve.effects.items()}
-        declared = {}
+        declared, freed = self._freed(values)
+        on = self.valve.effects
+        own = {name: {**(on.get(name) or CATALOGUE[name].neutral_values()), **few} for name, few in freed.items()}
+        return replace(self.valve.with_values(**declared), effects={**on, **own}, gas=self._gas_with(values))
+
+    def _freed(self, values: Mapping[str, float]) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
+        """Declared scalars, and by effect its parameters, that freed values describe."""
+        declared, effects = dict[str, float](), dict[str, dict[str, float]]()
         for name, value in self.as_declared(values).items():
-            effect, dot, parameter = name.partition(".")
             if name in self._declared:
                 declared[name] = float(value)
-            elif dot and name not in self._gas:
-                effects.setdefault(effect, CATALOGUE[effect].neutral_values())[parameter] = float(value)
-        return replace(self.valve.with_values(**declared), effects=effects, gas=self._gas_with(values))
+            elif name in self.of_effects:
+                effect, parameter = self.of_effects[name]
+                effects.setdefault(effect, {})[parameter] = float(value)
+        return declared, effects
 
     def _gas_with(self, values: Mapping[str, float]) -> GasParameters | None:
         """The gas that freed values describe."""
@@ -145,14 +164,9 @@ class ValveModel:
 
         Nothing is checked, and parameters of effects that are not given are neutral.
         """
-        effects = {name: dict(parameters) for name, parameters in self.valve.effects.items()}
-        declared = dict(self._declared)
-        for name, value in self.as_declared(values).items():
-            effect, dot, parameter = name.partition(".")
-            if name in declared:
-                declared[name] = value
-            elif dot and name not in self._gas:
-                effects.setdefault(effect, {})[parameter] = value
+        scalars, freed = self._freed(values)
+        declared, on = self._declared | scalars, self.valve.effects
+        effects = {**on, **{name: {**on.get(name, {}), **few} for name, few in freed.items()}}
         polynomial = tuple(declared.pop(name) for name in POLYNOMIAL_NAMES)
         parameters = ValveParameters(**declared, attraction_polynomial=polynomial)  # type: ignore[arg-type] # by name
         return Valve(parameters, effects, gas=self._gas_with(values))

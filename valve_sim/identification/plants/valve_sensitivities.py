@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valve_sim.identification.plants.protocol import Array, Direction, Piece
-from valve_sim.identification.plants.recording_errors import ErringRecording, is_of_recording
+from valve_sim.identification.plants.recording_errors import ErringRecording
 from valve_sim.identification.plants.valve_model import ValveModel, switches_of
 from valve_sim.identification.plants.valve_pieces import Course, Intervals
 from valve_sim.identification.plants.valve_sensors import averaged, rated_current_of
@@ -54,9 +54,9 @@ def moving_valve(
     Raises:
         SimulationError: the coil has no resistance.
     """
-    own = [{name: by for name, by in one.slopes.items() if not is_of_recording(name)} for one in directions]
+    own = [{name: by for name, by in one.slopes.items() if model.has(name)} for one in directions]
     # Of effects that only directions have, neutral ones.
-    asked = {name for slopes in own for name in slopes if "." in name} - values.keys()
+    asked = {name for slopes in own for name in slopes if name in model.of_effects} - values.keys()
     if asked:
         values = {**values, **{name: model.declared(name) for name in sorted(asked)}}
     ahead = {
@@ -130,18 +130,17 @@ def shown(at: MovingValve, recordings: Sequence[ErringRecording], *, is_whole: b
 
 def _intervals(at: MovingValve, recording: ErringRecording) -> Intervals | None:
     """What differs of the valve by interval between the commands of a recording; None where nothing does."""
-    factors = recording.factors(at.values)
-    if factors is None:
+    differing = recording.differing(at.values, at.valve.effects)
+    if differing is None:
         return None
+    factors = differing.factors(at.values)
     if not at.directions:
-        return Intervals(recording.fields(at.values), factors)
+        return Intervals(differing.fields, factors)
     slopes = np.zeros((len(at.directions), *factors.shape))
     for row, there in at.ahead.items():
-        if recording.varies_with(at.directions[row].slopes):
-            changed = recording.factors(there)
-            assert changed is not None
-            slopes[row] = (changed - factors) / at.directions[row].step
-    return Intervals(recording.fields(at.values), factors, slopes, at.slopes)
+        if differing.is_moved_by(at.directions[row].slopes):
+            slopes[row] = (differing.factors(there) - factors) / at.directions[row].step
+    return Intervals(differing.fields, factors, slopes, at.slopes)
 
 
 def _directions(at: MovingValve, recording: ErringRecording, drive: Drive) -> tuple[Directions, Array]:

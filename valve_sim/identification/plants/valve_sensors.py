@@ -162,7 +162,7 @@ def channels_of(index: int, trace: Trace) -> list[Channel]:
         found.append(
             Channel(
                 f"{trace.source}: pilot_position", "position", trace.times, trace.usable_position, still,
-                stroke_numbers(trace.drive, trace.times), recording=index, drifts=True,
+                stroke_numbers(trace.drive, trace.times), recording=index, source=trace.source, drifts=True,
                 resolution=_position_resolution(trace), left_out=left_out,
             )
         )  # fmt: skip
@@ -181,7 +181,7 @@ def _pressure_channel(index: int, trace: Trace) -> Channel:
     still = still_mask(trace.drive, trace.outlet_pressure, EQUAL)
     return Channel(
         f"{trace.source}: outlet_pressure", "pressure", times, data, still,
-        stroke_numbers(trace.drive, times), "Pa", recording=index, drifts=True,
+        stroke_numbers(trace.drive, times), "Pa", recording=index, source=trace.source, drifts=True,
         resolution=PRESSURE_RESOLUTION * float(np.abs(data).max()),
     )  # fmt: skip
 
@@ -193,7 +193,7 @@ def _current_channel(index: int, trace: Trace, strokes: NDArray[np.integer]) -> 
     is_single = bool((data == data.astype(np.float32)).all())
     return Channel(
         f"{trace.source}: coil_current", "current", times, data, _settled(trace.drive, trace.coil_current), strokes,
-        "A", role=role, recording=index, drifts=True,
+        "A", role=role, recording=index, source=trace.source, drifts=True,
         resolution=(ROUNDING if is_single else FIT_TOLERANCE) * float(np.abs(data).max()),
     )  # fmt: skip
 

@@ -69,9 +69,7 @@ def identification_document(result: Identification) -> Document:
         },
     }
     rest = {
-        "clock_offsets_us": [
-            1e6 * fit.values[one.name] for one in plant.nuisances if one.name.startswith("clock_offset")
-        ],
+        "clock_offsets_us": [1e6 * fit.values[one.name] for one in plant.nuisances if one.error == "clock_offset"],
         "nuisances": {
             one.name: {"estimate": fit.values[one.name], "unit": one.unit}
             for one in fit.nuisances

@@ -7,7 +7,6 @@ a hold-out takes, each of its signals by itself.
 from __future__ import annotations
 
 import itertools
-from functools import partial
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from valve_sim.identification.fit.problem import Problem
 from valve_sim.identification.fit.result import Fit, fit
 from valve_sim.identification.fit.unknown import known
 from valve_sim.identification.plants.protocol import Array, Channel, Direction, Plant, finite_prediction
-from valve_sim.identification.validation.replay import Allowed, Replay, StrokeCheck, Validation, errors_between
+from valve_sim.identification.validation.replay import Allowed, Compared, Replay, Validation
 from valve_sim.recordings import Signal
 
 
@@ -51,14 +50,12 @@ def validate_plant(plant: Plant, tolerance: float | None = None) -> Validation:
 
 def _replayed(channel: Channel, shown: Array, allowed: Allowed | float, noise: float) -> Replay:
     """One signal of one recording, part by part."""
-    unknown = np.zeros(len(shown), dtype=bool)
-    errors_of = partial(errors_between, channel.data, shown, unknown, allowed, left_out=channel.left_out)
+    measured, unknown = Signal(channel.times, channel.data), np.zeros(len(shown), dtype=bool)
+    compared = Compared(measured, shown, unknown, allowed, channel.left_out)
     edges = [0, *(np.flatnonzero(np.diff(channel.group)) + 1).tolist(), len(shown)]
-    parts = [(int(channel.group[first]), errors_of(slice(first, last))) for first, last in itertools.pairwise(edges)]
-    strokes = tuple(StrokeCheck(f"part {number + 1}", errors, ()) for number, errors in parts if errors.samples)
-    measured = Signal(channel.times, channel.data)
+    parts = ((f"part {channel.group[own[0]] + 1}", slice(*own), ()) for own in itertools.pairwise(edges))
     return Replay(
-        channel.name, channel.kind, channel.unit, measured, shown, noise, errors_of(slice(None)), strokes
+        channel.name, channel.kind, channel.unit, measured, shown, noise, compared.errors(), compared.checks(parts)
     )  # fmt: skip
 
 

@@ -11,10 +11,9 @@ sample would be most of the memory of a long recording.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -107,6 +106,62 @@ class StrokeCheck(NamedTuple):
     name: str
     errors: Errors
     arrivals: tuple[Arrival, ...]
+
+
+class Allowed(NamedTuple):
+    """The default tolerance.
+
+    Attributes:
+        variance: (n,) of what is predicted, noise included. finest: the least tolerance.
+    """
+
+    variance: Array
+    finest: float
+
+    def of(self, chosen: slice, moving: NDArray[np.bool_]) -> float:
+        """The tolerance of some samples: NOISE_FACTOR standard deviations, over all of them or those that move."""
+        variances, largest = self.variance[chosen], 0.0
+        for own in (variances, variances[moving[chosen]]):
+            largest = max(largest, float(np.mean(own)) if len(own) else 0.0)
+        return max(NOISE_FACTOR * math.sqrt(largest), self.finest)
+
+
+def _rms(values: Array) -> float:
+    """Root of the mean square; nan where there are none."""
+    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else math.nan
+
+
+Part = tuple[str, slice, tuple[Arrival, ...]]
+"""A part of a recording: its name, its samples, and arrivals in it."""
+
+
+class Compared(NamedTuple):
+    """A measured signal beside what a model shows of it.
+
+    Attributes:
+        measured: the signal. shown: (n,) the same by the model. moving: (n,) whether the model moves.
+        allowed: the tolerance. left_out: (n,) what is no measurement; None: all of them are.
+    """
+
+    measured: Signal
+    shown: Array
+    moving: NDArray[np.bool_]
+    allowed: Allowed | float
+    left_out: NDArray[np.bool_] | None = None
+
+    def errors(self, chosen: slice = slice(None)) -> Errors:
+        """Measured less shown over the chosen samples that are not left out."""
+        left, moves = self.measured.values[chosen] - self.shown[chosen], self.moving[chosen]
+        if self.left_out is not None:
+            is_kept = ~self.left_out[chosen]
+            left, moves = left[is_kept], moves[is_kept]
+        tolerance = self.allowed.of(chosen, self.moving) if isinstance(self.allowed, Allowed) else self.allowed
+        return Errors(len(left), _rms(left), _rms(left[moves]), float(np.max(np.abs(left), initial=0.0)), tolerance)
+
+    def checks(self, parts: Iterable[Part]) -> tuple[StrokeCheck, ...]:
+        """Those of the parts that have samples which are not left out."""
+        found = (StrokeCheck(name, self.errors(chosen), arrivals) for name, chosen, arrivals in parts)
+        return tuple(own for own in found if own.errors.samples)
 
 
 @dataclass(frozen=True)
@@ -222,9 +277,8 @@ def replay_trace(trace: Trace, valve: Valve, tolerance: float | None = None) -> 
     problem = Problem(plant).condensed()
     errors = Columns() if problem.is_long else columns_of(plant, {}, {})
     nuisances = fit_recording(problem.with_columns(errors), {}, learns=True).values
-    offset = nuisances["clock_offset[0]"]
     recording = ErringRecording(trace, 0, valve)
-    drive = recording.drive(nuisances)
+    drive, offset = recording.drive(nuisances), recording.lateness(nuisances)
     times = trace.sample_times
     start = min(float(drive.times.min(initial=math.inf)), float(times[0])) - CLOCK_SIGMA
     kind, _, finest = _JUDGED[trace.primary_signal]
@@ -240,30 +294,10 @@ def replay_trace(trace: Trace, valve: Valve, tolerance: float | None = None) -> 
     if trace.has_positions:
         shown += recording.zero(nuisances)
     allowed = Allowed(variance, finest) if tolerance is None else tolerance
-    errors_of = partial(
-        errors_between, measured.values, shown, _moving(times, motion.is_moving), allowed, left_out=left_out
-    )
-    strokes = tuple(_stroke_checks(trace, seen, (motion.events, offset), errors_of))
+    compared = Compared(measured, shown, _moving(times, motion.is_moving), allowed, left_out)
+    strokes = compared.checks(_strokes(trace, seen, motion.events, offset))
     title, unit = CHANNELS[trace.primary_signal].title, _JUDGED[trace.primary_signal].unit
-    return Replay(trace.source, title, unit, measured, shown, noise, errors_of(slice(None)), strokes, offset)
-
-
-class Allowed(NamedTuple):
-    """The default tolerance.
-
-    Attributes:
-        variance: (n,) of what is predicted, noise included. finest: the least tolerance.
-    """
-
-    variance: Array
-    finest: float
-
-    def of(self, chosen: slice, moving: NDArray[np.bool_]) -> float:
-        """The tolerance of some samples: NOISE_FACTOR standard deviations, over all of them or those that move."""
-        variances, largest = self.variance[chosen], 0.0
-        for own in (variances, variances[moving[chosen]]):
-            largest = max(largest, float(np.mean(own)) if len(own) else 0.0)
-        return max(NOISE_FACTOR * math.sqrt(largest), self.finest)
+    return Replay(trace.source, title, unit, measured, shown, noise, compared.errors(), strokes, offset)
 
 
 class _Judged(NamedTuple):
@@ -324,55 +358,22 @@ def _moving(times: Array, is_moving: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray(is_moving | (distance <= MARGIN))
 
 
-def errors_between(
-    measured: Array,
-    shown: Array,
-    moving: NDArray[np.bool_],
-    allowed: Allowed | float,
-    chosen: slice,
-    left_out: NDArray[np.bool_] | None = None,
-) -> Errors:
-    """Measured less shown over the chosen samples that are not left out.
-
-    Args:
-        measured, shown: (n,). moving: (n,) whether the model moves. allowed: the tolerance. chosen: samples.
-        left_out: (n,) what is no measurement.
-    """
-    left, moves = measured[chosen] - shown[chosen], moving[chosen]
-    if left_out is not None:
-        left, moves = left[~left_out[chosen]], moves[~left_out[chosen]]
-    tolerance = allowed.of(chosen, moving) if isinstance(allowed, Allowed) else allowed
-    return Errors(len(left), _rms(left), _rms(left[moves]), float(np.max(np.abs(left), initial=0.0)), tolerance)
-
-
-def _rms(values: Array) -> float:
-    """Root of the mean square; nan where there are none."""
-    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else math.nan
-
-
-def _stroke_checks(
-    trace: Trace,
-    seen: Mapping[StrokePart, Sequence[SensorEvent]],
-    modelled: tuple[Sequence[Event], float],
-    errors_of: Callable[[slice], Errors],
-) -> Iterator[StrokeCheck]:
-    """Every stroke that has samples which are not left out; of samples and events each stroke looks at its own alone.
+def _strokes(
+    trace: Trace, seen: Mapping[StrokePart, Sequence[SensorEvent]], events: Sequence[Event], offset: float
+) -> Iterator[Part]:
+    """Every stroke; of samples and events each looks at its own alone.
 
     Args:
         trace: what was measured. seen: its strokes, and arrivals in them.
-        modelled: events, and by how much samples are stamped late, s.
-        errors_of: samples.
+        events: of the model. offset: by how much samples are stamped late, s.
     """
-    events, offset = modelled
     when = np.array([event.time for event in events])
     for stroke, found in seen.items():
         first, last = np.searchsorted(trace.sample_times, [stroke.start, stroke.stop])
         if first < last:
             own = events[slice(*np.searchsorted(when, [stroke.start, stroke.stop]))]
-            arrivals = (_arrival(event, stroke, own, offset) for event in found)
-            errors = errors_of(slice(first, last))
-            if errors.samples:
-                yield StrokeCheck(stroke.name, errors, tuple(arrivals))
+            arrivals = tuple(_arrival(event, stroke, own, offset) for event in found)
+            yield stroke.name, slice(first, last), arrivals
 
 
 def _arrival(event: SensorEvent, stroke: StrokePart, events: Sequence[Event], offset: float) -> Arrival:
