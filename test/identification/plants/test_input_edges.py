@@ -47,10 +47,11 @@ def current(times: Array) -> Array:
     return found
 
 
-def recorded(folder: Path, between: str) -> OwnPlant:
-    """What a logger at 5 kHz has of it, in a table."""
+def recorded(folder: Path, between: str, noise: float) -> OwnPlant:
+    """What a logger at 5 kHz has of it, in a table; noise: of the measured voltage, V."""
     times, random = np.arange(0.0, 0.34, 2e-4), np.random.default_rng(4)
     volts = np.concatenate([[0.0], VOLTS])[np.searchsorted(SWITCHED, times, side="right")]
+    volts += noise * random.standard_normal(len(times))
     rows = np.column_stack([times, volts, current(times) + 1e-3 * random.standard_normal(len(times))])
     np.savetxt(folder / "log.csv", rows, delimiter=",", header="t,u,i", comments="", fmt="%.9g")
     (folder / "coil.yaml").write_text(COIL.format(between=between))
@@ -59,15 +60,16 @@ def recorded(folder: Path, between: str) -> OwnPlant:
     return OwnPlant(load_plant(folder / "coil.yaml"), [read(folder / "log.csv", columns)])
 
 
-@pytest.mark.parametrize("between", ["held", "straight"])
-def test_a_coil_that_is_switched_between_two_samples_lacks_nothing(between: str, tmp_path: Path) -> None:
-    found = diagnose_plant(recorded(tmp_path, between), None)
+@pytest.mark.parametrize(("between", "noise"), [("held", 0.0), ("straight", 0.0), ("straight", 0.1)])
+def test_a_coil_that_is_switched_between_two_samples_lacks_nothing(between: str, noise: float, tmp_path: Path) -> None:
+    """Beside noise of the voltage the levels at which it rests are known to some millivolts only."""
+    found = diagnose_plant(recorded(tmp_path, between, noise), None)
     assert found.verdict.kind == "none"
     result = found.before.fit
     for name, truth in (("resistance", RESISTANCE), ("inductance", INDUCTANCE)):
         error = math.sqrt(float(result.covariance[result.names.index(name), result.names.index(name)]))
-        assert abs(result.values[name] - truth) < 4.0 * error < 0.03 * truth
-    plant = recorded(tmp_path, between)
+        assert abs(result.values[name] - truth) < 4.0 * error < 0.05 * truth
+    plant = recorded(tmp_path, between, noise)
     nominal = {own.name: own.during[0] + 1.5 * 2e-4 for own in plant.timing_errors}
     fitted = [result.names.index(name) for name in nominal if result.values.get(name)]
     for place in fitted:
@@ -99,8 +101,10 @@ def test_an_edge_is_a_jump_between_two_rests() -> None:
     for other in (np.sin(40.0 * times), noise, np.where(np.arange(200) % 2 == 0, 0.0, 1.0), np.ones(200)):
         assert not edges_of(0, [(times, other)], [True], 1e-3)
     # What goes on changing between its jumps is no noise.
-    still = without_noise(square + noise)
-    assert len(np.unique(still)) == 4
+    still, levels = without_noise(square + noise)
+    assert len(np.unique(still)) == 2
+    assert [own.rests for own in levels] == [((0, 50), (100, 150)), ((50, 100), (150, 200))]
+    assert [own.error for own in levels] == pytest.approx([2e-3, 2e-3], rel=0.2)
     assert np.max(np.abs(still - square)) < 0.02
     droops = square + noise + 0.1 * np.sin(30.0 * times)
-    np.testing.assert_array_equal(without_noise(droops), droops)
+    np.testing.assert_array_equal(without_noise(droops)[0], droops)

@@ -30,6 +30,8 @@ SPARSE: Final = 10.0
 """Times the interval of the outputs' samples, from which readings of an input are messages of its changes."""
 MOST: Final = 64
 """Jumps of a recording whose times are estimated; of one with more none is."""
+LONGEST: Final = 500_000
+"""Readings of an input beyond which none is."""
 APART: Final = 3.0
 """Intervals to the next jump, at least."""
 FURTHEST: Final = 1.5
@@ -79,7 +81,7 @@ def edges_of(recording: int, columns: Sequence[tuple[Array, Array]], held: Seque
             time = float(times[jump + 1]) if holds else float(times[jump] + 0.5 * steps[jump])
             found.setdefault(time, (interval, []))[1].append(number)
     at = sorted(found)
-    if len(at) > MOST:
+    if len(at) > MOST or max((len(times) for times, _ in columns), default=0) > LONGEST:
         return []
     gaps = np.diff([-math.inf, *at, math.inf])
     return [
@@ -104,20 +106,69 @@ def jumps_of(levels: Array, *, rests: bool = True) -> NDArray[np.intp]:
     return np.flatnonzero(jumps)
 
 
-def without_noise(levels: Array) -> Array:
+class Level(NamedTuple):
+    """A level at which a measured input rests, known as well as its noise lets the mean of its readings be known.
+
+    Attributes:
+        rests: the readings, from which to before which, of each of its rests. error: standard deviation of the mean.
+    """
+
+    rests: tuple[tuple[int, int], ...]
+    error: float
+
+
+def without_noise(levels: Array) -> tuple[Array, list[Level]]:
     """(n,) readings of a measured input, each rest between its jumps at its mean where nothing but noise is on it.
 
     Noise of a measured voltage drives a machine that never saw it. (By von Neumann's ratio: noise is what differs from
-    reading to reading as much as over the whole rest.)
+    reading to reading as much as over the whole rest.) Rests that do not differ have one level.
     """
     found, jumps, most = levels.copy(), jumps_of(levels) + 1, SMALL * float(np.ptp(levels))
+    rests = []
     for first, last in itertools.pairwise([0, *jumps.tolist(), len(levels)]) if len(jumps) else ():
         own = levels[first:last]
         if len(own) >= FEWEST:
             of_neighbours = 0.5 * float(np.mean(np.square(np.diff(own))))
             if float(np.var(own)) <= min(most**2, (1.0 + PLAINLY / math.sqrt(len(own))) * of_neighbours):
-                found[first:last] = np.mean(own)
-    return found
+                rests.append((float(np.mean(own)), math.sqrt(of_neighbours / len(own)), (first, last)))
+    alike: list[list[tuple[float, float, tuple[int, int]]]] = []
+    for one in sorted(rests):
+        if alike and one[0] - alike[-1][-1][0] <= PLAINLY * math.hypot(one[1], alike[-1][-1][1]):
+            alike[-1].append(one)
+        else:
+            alike.append([one])
+    for group in alike:
+        places = np.concatenate([np.arange(*own) for _, _, own in group])
+        found[places] = np.mean(levels[places])
+    return found, [
+        Level(tuple(sorted(own for _, _, own in group)), math.fsum(error**-2.0 for _, error, _ in group) ** -0.5)
+        for group in alike
+        if all(error > 0.0 for _, error, _ in group)
+    ]
+
+
+class LevelError(NamedTuple):
+    """What is added to an input while it rests at a level.
+
+    Attributes:
+        name: of it. column: the number of the input. spans: (k, 2) s, of the first and last reading of each rest.
+    """
+
+    name: str
+    column: int
+    spans: Array
+
+
+def raised(inputs: Inputs, levels: Sequence[LevelError], by: Sequence[float]) -> Inputs:
+    """Inputs with something added to each of some levels, in the unit of the input."""
+    if not any(by):
+        return inputs
+    found = inputs.levels.copy()
+    for level, more in zip(levels, by, strict=True):
+        first = np.searchsorted(level.spans[:, 0], inputs.times, side="right") - 1
+        rests = (first >= 0) & (inputs.times <= level.spans[np.maximum(first, 0), 1])
+        found[rests, level.column] += more
+    return Inputs(inputs.times, found, inputs.held)
 
 
 def edge_errors(edges: Sequence[Edge], channels: tuple[int, ...], interval: float) -> list[Nuisance]:

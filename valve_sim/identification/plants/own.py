@@ -20,7 +20,16 @@ from numpy.typing import NDArray
 
 from valve_sim.files.changed_plants import changed_plant, save_plant
 from valve_sim.files.plant_files import InputEntry, OutputEntry, PlantFile
-from valve_sim.identification.plants.input_edges import Edge, edge_errors, edges_of, with_edges, without_noise
+from valve_sim.identification.plants.input_edges import (
+    Edge,
+    LevelError,
+    edge_errors,
+    edges_of,
+    jumps_of,
+    raised,
+    with_edges,
+    without_noise,
+)
 from valve_sim.identification.plants.own_model import OwnModel
 from valve_sim.identification.plants.protocol import (
     Advice,
@@ -124,7 +133,8 @@ class OwnPlant(RecordedPlant[OwnModel]):
         super().__init__(model, [own for place in enumerate(recordings) for own in self._measured_by(*place)])
         self._runs = [run for place in enumerate(recordings) for run in self._runs_of(*place)]
         self._edges = [self._edges_of(*place) for place in enumerate(recordings)]
-        self._nuisances = (*self._of_machine(), *self._of_starts(), *self._of_columns())
+        self._levels: list[list[LevelError]] = [[] for _ in recordings]
+        self._nuisances = (*self._of_machine(), *self._of_starts(), *self._of_columns(), *self._of_levels())
         moved = {(own.number, own.recording, own.part): own for own in self._nuisances}
         self._numbers = [self._numbers_of(run, moved) for run in self._runs]
         self._starts = [self._starts_of(run, moved) for run in self._runs]
@@ -135,7 +145,7 @@ class OwnPlant(RecordedPlant[OwnModel]):
 
     @property
     def nuisances(self) -> Sequence[Nuisance]:
-        """Values with a tolerance, starts, and errors of the columns."""
+        """Values with a tolerance, starts, and errors of the columns and of the levels at which inputs rest."""
         return self._nuisances
 
     @functools.cached_property
@@ -189,19 +199,9 @@ class OwnPlant(RecordedPlant[OwnModel]):
                 {one.name: by for one in (*of_machine, *starts) if (by := one.slope(direction.slopes))}
                 for direction in directions
             ]
-            # Where the data do not ask for their times, inputs are as they are declared.
-            edges = [edge for edge in self._edges_in(run) if edge.name in values]
-            moving = [any(edge.name in direction.slopes for edge in edges) for direction in directions]
-            acting = [k for k, one in enumerate(own) if one or moving[k]]
-            later = [values.get(edge.name, 0.0) for edge in edges]
-            of_inputs = [delays.get(name, 0.0) for name in self.file.inputs]
-            edges = [edge._replace(time=edge.time + of_inputs[edge.columns[0]]) for edge in edges]
-            inputs = with_edges(delayed(run.inputs, of_inputs), edges, later)
+            inputs, moves = self._driven(run, values, directions, delays)
+            acting = [k for k, one in enumerate(own) if one or moves[:, :, k].any()]
             samples, rows_of = late(run, delays)
-            moves = np.zeros((len(inputs.times), 1 + len(of_inputs), len(acting)))
-            for edge, by in zip(edges, later, strict=True):
-                row = int(np.searchsorted(inputs.times, edge.time + by, side="right")) - 1
-                moves[row, 0] = [directions[k].slopes.get(edge.name, 0.0) for k in acting]
             try:
                 shown, changes, *_ = machine.run(
                     numbers,
@@ -211,7 +211,7 @@ class OwnPlant(RecordedPlant[OwnModel]):
                     [own[k] for k in acting],
                     run.start,
                     self._most(place),
-                    moves=moves if any(moving) else None,
+                    moves=moves[:, :, acting] if moves.any() else None,
                 )
             except SimulationError as error:
                 raise SimulationError(f"{self.file.path}: {self.recordings[run.recording].source}: {error}") from error
@@ -227,6 +227,37 @@ class OwnPlant(RecordedPlant[OwnModel]):
             np.array(known, dtype=bool),
             [Piece(channel, 0, own[:, 0], own[:, 1:]) for channel, own in enumerate(whole)],
         )
+
+    def _driven(
+        self, run: Run, values: Mapping[str, float], directions: Sequence[Direction], delays: Mapping[str, float]
+    ) -> tuple[Inputs, Array]:
+        """What drives a run, and (k, 1 + i, d) derivatives of when inputs step, and of their levels.
+
+        Where the data do not ask for the times of jumps, inputs are as they are declared.
+        """
+        later = [delays.get(name, 0.0) for name in self.file.inputs]
+        edges = [edge for edge in self._edges_in(run) if edge.name in values]
+        by = [values[edge.name] for edge in edges]
+        edges = [edge._replace(time=edge.time + later[edge.columns[0]]) for edge in edges]
+        levels = self._levels[run.recording]
+
+        def shown(inputs: Inputs, slopes: Mapping[str, float]) -> Inputs:
+            more = [slopes.get(level.name, 0.0) for level in levels]
+            return with_edges(delayed(raised(inputs, levels, more), later), edges, by)
+
+        inputs = shown(run.inputs, values)
+        count = len(inputs.times) if edges or levels else 0
+        moves = np.zeros((count, 1 + len(later), len(directions)))
+        nothing = run.inputs._replace(levels=np.zeros_like(run.inputs.levels))
+        rows = [
+            int(np.searchsorted(inputs.times, edge.time + own, side="right")) - 1
+            for edge, own in zip(edges, by, strict=True)
+        ]
+        for k, direction in enumerate(directions):
+            moves[rows, 0, k] = [direction.slopes.get(edge.name, 0.0) for edge in edges]
+            if any(level.name in direction.slopes for level in levels):
+                moves[:, 1:, k] = shown(nothing, direction.slopes).levels
+        return inputs, moves
 
     def _most(self, place: int) -> int | None:
         """How many steps a run may take; None: the declared machine itself cannot be simulated.
@@ -459,6 +490,24 @@ class OwnPlant(RecordedPlant[OwnModel]):
                     size = (unit.factor if column.unit is None else column.unit.factor) * column.offset
                     yield self._error(f"offset[{index}].{name}", size, unit.si, index, offset)._replace(channels=own)
 
+    def _of_levels(self) -> Iterator[Nuisance]:
+        """Of inputs that are known to have jumped where their levels end."""
+        for index, recording in enumerate(self.recordings):
+            jumps = [place for edge in self._edges[index] for place in edge.columns]
+            for place, (name, entry) in enumerate(self.file.inputs.items()):
+                column = recording[name]
+                is_held = entry.held if column.held is None else column.held
+                readings = column.si(entry.unit)
+                if is_held or not self.file.states or jumps.count(place) != len(jumps_of(readings)):
+                    continue
+                for number, level in enumerate(without_noise(readings)[1]):
+                    spans = np.array([[column.times[first], column.times[last - 1]] for first, last in level.rests])
+                    own = LevelError(f"input_level[{index},{number}].{name}", place, spans)
+                    self._levels[index].append(own)
+                    error = self._error(own.name, level.error, entry.unit.si, index, f"{name} level")
+                    during = float(spans[0, 0]) - 1e-9, math.inf
+                    yield error._replace(during=during, part=number)
+
 
 def inputs_of(file: PlantFile, recording: Columns | None) -> Inputs:
     """All inputs of a recording, at the times of each of them."""
@@ -473,7 +522,7 @@ def inputs_of(file: PlantFile, recording: Columns | None) -> Inputs:
     for place, (column, own) in enumerate(pairs):
         readings = column.si(own.unit)
         # What is held was commanded, and has no noise.
-        seen = readings if held[place] else without_noise(readings)
+        seen = readings if held[place] else without_noise(readings)[0]
         levels[:, place] = level_at(times, column.times, seen, is_held=held[place])
     return Inputs(times, levels, held)
 
