@@ -16,7 +16,8 @@ NAMES = ("a", "b", "c")
 
 def made_up(correlation: list[list[float]], **changes: Any) -> Fit:
     """A fit of three parameters without any other finding, but for what is changed."""
-    stamps = (SimpleNamespace(name="stamp[0]"), SimpleNamespace(name="stamp[1]"))
+    of_stamps = (("stamp[0]", "command_stamps"), ("stamp[1]", "command_stamps"), ("edge[0]", "input_edges"))
+    stamps = tuple(SimpleNamespace(name=name, error=error) for name, error in of_stamps)
     clock = SimpleNamespace(name="clock_offset[0]")
     plant = SimpleNamespace(declared=lambda name: 1.0, nuisances=(clock,), timing_errors=stamps)
     noises = {"position": SimpleNamespace(samples=1000)}
@@ -46,6 +47,7 @@ def test_each_pair_is_named_once_and_a_partner_of_a_pair_is_not_left_out() -> No
 
 
 def test_stamps_and_lack_of_convergence_are_findings() -> None:
-    nuisances = tuple(SimpleNamespace(name=name) for name in ("clock_offset[0]", "stamp[0]", "stamp[1]"))
-    changes = {"nuisances": nuisances, "values": {"stamp[0]": 2e-6, "stamp[1]": -5e-6}, "converged": False}
+    nuisances = tuple(SimpleNamespace(name=name) for name in ("clock_offset[0]", "stamp[0]", "stamp[1]", "edge[0]"))
+    values = {"stamp[0]": 2e-6, "stamp[1]": -5e-6, "edge[0]": 9e-6}
+    changes = {"nuisances": nuisances, "values": values, "converged": False}
     assert found(NONE, **changes) == (StampErrors(5e-6), NotConverged())

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final, TypeAlias
 
-from valve_sim.identification.fit.errors.clocks import COMMAND_STAMPS
+from valve_sim.identification.fit.errors.clocks import INPUT_EDGES
 from valve_sim.identification.fit.intervals import Interval, Unbounded
 from valve_sim.identification.fit.recorded_errors import OF_CLOCKS, RecordedError
 from valve_sim.identification.fit.result import Fit
@@ -135,7 +135,7 @@ def _on_parameters(result: Fit, intervals: Mapping[str, Interval]) -> Iterator[F
 
 
 def _on_the_whole(result: Fit, errors: Iterable[RecordedError], lacking: float) -> Iterator[Finding]:
-    stamps = {own.name for own in result.problem.plant.timing_errors if own.error == COMMAND_STAMPS.name}
+    stamps = {own.name for own in result.problem.plant.timing_errors if own.error != INPUT_EDGES.name}
     timing = [abs(result.values[nuisance.name]) for nuisance in result.nuisances if nuisance.name in stamps]
     if timing:
         yield StampErrors(max(timing))
