@@ -568,6 +568,9 @@ def test_a_type_of_the_lab_is_read_by_its_definition_in_idl(tmp_path: Path) -> N
     np.testing.assert_allclose(found.pilot_position, truth.pilot_position, atol=1e-15)
 
 
+JAZZY = get_typestore(Stores.ROS2_JAZZY)
+
+
 def as_second_version(message: Message, order: str, *, delimited: bool) -> Message:
     """A Float64, or a JointState of good messages, as XCDR2 writes it: numbers lie at multiples of 4 at most."""
     body = bytearray()
@@ -587,8 +590,7 @@ def as_second_version(message: Message, order: str, *, delimited: bool) -> Messa
         if wanted:
             struct.pack_into(order + "I", body, begin - 4, len(body) - begin)
 
-    store = get_typestore(Stores.ROS2_JAZZY)
-    plain: Any = store.deserialize_cdr(message.data, message.type)
+    plain: Any = JAZZY.deserialize_cdr(message.data, message.type)
     with sized(wanted=delimited):
         if message.type == FLOAT:
             put("d", plain.data)
