@@ -248,7 +248,6 @@ class OwnPlant(RecordedPlant[OwnModel]):
         inputs = shown(run.inputs, values)
         count = len(inputs.times) if edges or levels else 0
         moves = np.zeros((count, 1 + len(later), len(directions)))
-        nothing = run.inputs._replace(levels=np.zeros_like(run.inputs.levels))
         rows = [
             int(np.searchsorted(inputs.times, edge.time + own, side="right")) - 1
             for edge, own in zip(edges, by, strict=True)
@@ -256,6 +255,7 @@ class OwnPlant(RecordedPlant[OwnModel]):
         for k, direction in enumerate(directions):
             moves[rows, 0, k] = [direction.slopes.get(edge.name, 0.0) for edge in edges]
             if any(level.name in direction.slopes for level in levels):
+                nothing = run.inputs._replace(levels=np.zeros_like(run.inputs.levels))
                 moves[:, 1:, k] = shown(nothing, direction.slopes).levels
         return inputs, moves
 
