@@ -27,7 +27,7 @@ from valve_sim.identification.fit.correction import (
     near,
     refitted_errors,
 )
-from valve_sim.identification.fit.grades import Grade, grades, look_alikes, rise_without
+from valve_sim.identification.fit.grades import Grade, adds_nothing, grades, look_alikes, rise_without
 from valve_sim.identification.fit.left_out import left_by, left_out, parts_of, response_in_motion
 from valve_sim.identification.fit.posterior import Decision, Set, decide
 from valve_sim.identification.fit.problem import Problem
@@ -182,6 +182,13 @@ def test_a_name_counts_for_what_every_other_set_and_curve_lacks() -> None:
     assert look_alikes(scores, ("a", "b"), "b") == ["c"]
     assert math.exp(rise_without(scores, ("a", "b"), {"b", "c"})[0]) == pytest.approx(1.2, rel=0.01)
     assert math.exp(rise_without(scores, ("a", "b"), {"a"})[0]) == pytest.approx(1.2, rel=0.01)
+
+
+def test_a_member_that_takes_off_next_to_nothing_is_no_name() -> None:
+    """Of 24 that are taken off c has 0.05 % and d 2 %; of e too little is taken off, and unseen conditions miss it."""
+    scores = table({"": 5.0, "c d e": 1.0, "d e": 1.006, "c e": 1.22, "c d": 1.08})
+    assert [adds_nothing(scores, ("c", "d", "e"), name) for name in "cde"] == [True, False, False]
+    assert not adds_nothing(table({"": 1.02, "a": 1.0}), ("a",), "a"), "there is no other"
 
 
 @pytest.mark.long

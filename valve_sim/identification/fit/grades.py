@@ -1,6 +1,7 @@
 """How far each name of a correction is to be believed: theory, section 9.
 
-    named       the posterior is sure of its class, nothing unnamed acts, and unseen conditions do not contradict
+    named       the posterior is sure of its class, nothing unnamed acts, unseen conditions do not contradict, and the
+                name is not for next to nothing beside others
     acts like   without it and its look-alikes every set and curve that was fitted errs more on unseen conditions
     possible    in the correction, not claimed
 
@@ -30,6 +31,9 @@ from valve_sim.identification.fit.search import added, without
 
 EQUAL: Final = 0.003
 """Ln of the factor between errors up to which a look-alike predicts as well, however small its standard error."""
+LITTLE: Final = 0.01
+"""Of what a correction takes off: a member that has less, and nothing that unseen conditions show, is no name. (Where a
+machine is of another form, such members make up for that to the last percent.)"""
 MOST_ALIKE: Final = 3
 """Look-alikes, beyond which a name says nothing."""
 
@@ -87,7 +91,7 @@ def _grade(name: str, correction: Correction, decision: Decision, posterior: Pos
     alike = look_alikes(scores, names, name)
     rise, error = rise_without(scores, names, {name, *alike})
     share, factor = _share(scores, names, name), math.exp(rise)
-    if is_sure and agrees(scores, names):
+    if is_sure and agrees(scores, names) and not adds_nothing(scores, names, name):
         return Grade(name, "named", probability, of_class, share, factor)
     every = tuple(dict.fromkeys((*of_class, *alike)))
     is_real = correction.is_applied and len(alike) <= MOST_ALIKE and rise > max(MATTERS, DECISIVE * error)
@@ -127,6 +131,12 @@ def rise_without(scores: Scores, names: Set, absent: set[str]) -> tuple[float, f
     rivals = [one for one in scores if not absent & set(one)]
     best = min(rivals, key=lambda one: float(np.mean(scores[one].logs)))
     return scores[names].rise(scores[best])
+
+
+def adds_nothing(scores: Scores, names: Set, name: str) -> bool:
+    """Whether a member has next to nothing of what a set takes off, and nothing that unseen conditions show."""
+    rise, error = rise_without(scores, names, {name})
+    return _share(scores, names, name) < LITTLE and rise <= max(MATTERS, DECISIVE * error)
 
 
 def _share(scores: Scores, names: Set, name: str) -> float:
