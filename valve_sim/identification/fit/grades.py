@@ -134,8 +134,11 @@ def rise_without(scores: Scores, names: Set, absent: set[str]) -> tuple[float, f
 
 
 def adds_nothing(scores: Scores, names: Set, name: str) -> bool:
-    """Whether a member has next to nothing of what a set takes off, and nothing that unseen conditions show."""
-    rise, error = rise_without(scores, names, {name})
+    """Whether a member has next to nothing of what a set takes off, and unseen conditions do not miss it."""
+    rest = without(names, name)
+    if not rest or rest not in scores:
+        return False
+    rise, error = scores[names].rise(scores[rest])
     return _share(scores, names, name) < LITTLE and rise <= max(MATTERS, DECISIVE * error)
 
 
