@@ -1,7 +1,7 @@
 """How far each name of a correction is to be believed: theory, section 9.
 
     named       the posterior is sure of its class, nothing unnamed acts, unseen conditions do not contradict, and the
-                name is not for next to nothing beside others
+                name is not for next to nothing among several
     acts like   without it and its look-alikes every set and curve that was fitted errs more on unseen conditions
     possible    in the correction, not claimed
 
@@ -32,8 +32,10 @@ from valve_sim.identification.fit.search import added, without
 EQUAL: Final = 0.003
 """Ln of the factor between errors up to which a look-alike predicts as well, however small its standard error."""
 LITTLE: Final = 0.01
-"""Of what a correction takes off: a member that has less, and nothing that unseen conditions show, is no name. (Where a
-machine is of another form, such members make up for that to the last percent.)"""
+"""Of what a correction takes off: one of `SEVERAL` members that has less, and nothing that unseen conditions show, is no
+name. (Where a machine is of another form, such members make up for that to the last percent.)"""
+SEVERAL: Final = 3
+"""So many effects are seldom missing at once; of two the weaker one is often as weak, and there."""
 MOST_ALIKE: Final = 3
 """Look-alikes, beyond which a name says nothing."""
 
@@ -134,9 +136,9 @@ def rise_without(scores: Scores, names: Set, absent: set[str]) -> tuple[float, f
 
 
 def adds_nothing(scores: Scores, names: Set, name: str) -> bool:
-    """Whether a member has next to nothing of what a set takes off, and unseen conditions do not miss it."""
+    """Whether one of several has next to nothing of what a set takes off, and unseen conditions do not miss it."""
     rest = without(names, name)
-    if not rest or rest not in scores:
+    if len(names) < SEVERAL or rest not in scores:
         return False
     rise, error = scores[names].rise(scores[rest])
     return _share(scores, names, name) < LITTLE and rise <= max(MATTERS, DECISIVE * error)
