@@ -32,7 +32,7 @@ from valve_sim.identification.fit.search import added, without
 EQUAL: Final = 0.003
 """Ln of the factor between errors up to which a look-alike predicts as well, however small its standard error."""
 LITTLE: Final = 0.01
-"""Of what a correction takes off: one of `SEVERAL` members that has less, and nothing that unseen conditions show, is no
+"""Of what a correction takes off: one of `SEVERAL` members that has less, and that unseen conditions do not miss, is no
 name. (Where a machine is of another form, such members make up for that to the last percent.)"""
 SEVERAL: Final = 3
 """So many effects are seldom missing at once; of two the weaker one is often as weak, and there."""
