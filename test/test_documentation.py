@@ -6,6 +6,7 @@ import ast
 import importlib
 import json
 import re
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -130,3 +131,12 @@ def texts_of(source: Path) -> Iterator[str]:
             yield "".join(str(part.value) if isinstance(part, ast.Constant) else "…" for part in node.values)
         elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docstrings:
             yield node.value
+
+
+@pytest.mark.parametrize("diff", sorted((ROOT / "docs" / "examples").glob("*.diff")), ids=lambda path: path.stem)
+def test_a_diff_of_the_how_tos_applies(diff: Path) -> None:
+    """What it does is tested in a copy, by long tests."""
+    done = subprocess.run(
+        ["git", "apply", "--check", str(diff)], cwd=ROOT, capture_output=True, text=True, check=False, timeout=60
+    )
+    assert not done.returncode, f"{done.stderr}the files that it changes are others now: make the diff again"
