@@ -23,6 +23,8 @@ _WHOLE: Final = re.compile(r"[+-]?\d+")
 _THOUSANDS: Final = re.compile(r"[+-]?[1-9]\d{0,2}((,\d{3})+|(\.\d{3})+)")
 """A number without a mark, and one whose mark may part thousands."""
 _LARGEST, _INFINITE, _NO_NUMBER = 9.8e37, 9.9e37, 9.91e37
+"""What instruments write for no reading (SCPI-1999, 7.2.1): ±9.9E+37 is beyond the range, 9.91E+37 no number. Readings
+are smaller than the first."""
 _EXACT: Final = 2.0**53
 """Beyond it not every whole number is one of floating point."""
 _EPOCH_DAY: Final = 719_163

@@ -333,7 +333,7 @@ class OwnPlant(RecordedPlant[OwnModel]):
         if not inputs or not self.file.states:
             return []
         columns = [(column.times, column.si(own.unit)) for column, own in inputs]
-        held = [own.held if column.held is None else column.held for column, own in inputs]
+        held = [_holds(column, own) for column, own in inputs]
         steps = [float(np.median(np.diff(self._channels[place].times))) for place in self.channels_in(index)]
         return edges_of(index, columns, held, min(steps))
 
@@ -496,9 +496,8 @@ class OwnPlant(RecordedPlant[OwnModel]):
             jumps = [place for edge in self._edges[index] for place in edge.columns]
             for place, (name, entry) in enumerate(self.file.inputs.items()):
                 column = recording[name]
-                is_held = entry.held if column.held is None else column.held
                 readings = column.si(entry.unit)
-                if is_held or not self.file.states or jumps.count(place) != len(jumps_of(readings)):
+                if _holds(column, entry) or not self.file.states or jumps.count(place) != len(jumps_of(readings)):
                     continue
                 for number, level in enumerate(without_noise(readings)[1]):
                     spans = np.array([[column.times[first], column.times[last - 1]] for first, last in level.rests])
@@ -516,7 +515,7 @@ def inputs_of(file: PlantFile, recording: Columns | None) -> Inputs:
         return Inputs(np.empty(0), np.empty((0, 0)), np.empty(0, dtype=bool))
     columns = [recording[name] for name in entries]
     pairs = list(zip(columns, entries.values(), strict=True))
-    held = np.array([own.held if column.held is None else column.held for column, own in pairs])
+    held = np.array([_holds(column, own) for column, own in pairs])
     times = np.unique(np.concatenate([column.times for column in columns]))
     levels = np.empty((len(times), len(columns)))
     for place, (column, own) in enumerate(pairs):
@@ -525,6 +524,11 @@ def inputs_of(file: PlantFile, recording: Columns | None) -> Inputs:
         seen = readings if held[place] else without_noise(readings)[0]
         levels[:, place] = level_at(times, column.times, seen, is_held=held[place])
     return Inputs(times, levels, held)
+
+
+def _holds(column: Column, entry: InputEntry) -> bool:
+    """Whether an input holds between its samples, by the recording's map or else by the plant's file."""
+    return entry.held if column.held is None else column.held
 
 
 def delayed(inputs: Inputs, delays: Sequence[float]) -> Inputs:
